@@ -1,0 +1,37 @@
+"""Worlds: data in YAML, or builders that a seed varies."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from naraha.systems.errors import WorldError
+
+from . import corridor, rough, stair_hall
+from .world import Solid, World, load_world_file
+
+BUILDERS: dict[str, Callable[[int], World]] = {
+    "corridor": corridor.build,
+    "rough": rough.build,
+    "stair_hall": stair_hall.build,
+}
+
+
+def load_world(name: str, seed: int, folder: Path | None = None) -> World:
+    """Builds the shipped world `name` from `seed`, or reads the YAML file of that name.
+
+    Args:
+        name: a key of `BUILDERS`, or a file name ending in .yaml.
+        folder: what a relative file name is relative to; the working directory by default.
+
+    Raises:
+        WorldError: there is no such world, or it cannot be built.
+    """
+    if name in BUILDERS:
+        world = BUILDERS[name](seed)
+        world.check(name)
+        return world
+    if name.endswith((".yaml", ".yml")):
+        return load_world_file((folder or Path()) / name)
+    raise WorldError("unknown world", key="world.name", value=name, valid=[*sorted(BUILDERS), "a .yaml file"])
+
+
+__all__ = ["BUILDERS", "Solid", "World", "load_world"]

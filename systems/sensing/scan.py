@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
-
-PointCloud = o3d.t.geometry.PointCloud
+from open3d.t.geometry import PointCloud
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,16 @@
+"""Following a path: waypoint tours and Kanayama's tracking law."""
+
+from .kanayama import KanayamaConfig, KanayamaTracking, kanayama_law, planar_pose, pose_error
+from .waypoint_tour import TourConfig, Waypoint, WaypointTour, leg_reference
+
+__all__ = [
+    "KanayamaConfig",
+    "KanayamaTracking",
+    "TourConfig",
+    "Waypoint",
+    "WaypointTour",
+    "kanayama_law",
+    "leg_reference",
+    "planar_pose",
+    "pose_error",
+]

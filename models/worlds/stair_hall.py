@@ -1,0 +1,198 @@
+"""The hall with a mock-up stair: what the source's element test area looks like, wrecked.
+
+20 × 14 m with walls, pillars and a partition; a mock-up stair of six steps up to a landing and six down (S0-c: rise and
+run of the stair that the crawler climbs, 0.18 and 0.26 m); pipes along the walls, one section of them hot; crates and
+debris; five shallow pools of 0.8 m diameter, one of them under the landing (S0-c, S0-d); one radiation source.
+Everything but the debris and the crates is where it is; those two are drawn from the seed and keep clear of `FREE_WAY`.
+"""
+
+import numpy as np
+
+from . import surfaces
+from .world import Solid, World
+
+# Clear of debris and crates within 0.9 m: the way that the shipped survey drives [m].
+FREE_WAY = np.array(
+    [
+        [-8.0, -5.0],
+        [-2.0, -5.2],
+        [4.0, -4.6],
+        [7.2, -2.0],
+        [7.2, 3.0],
+        [2.4, 3.0],
+        [-5.6, 3.0],
+        [-8.2, 0.5],
+        [-8.0, -5.0],
+    ]
+)
+POOLS = {
+    "pool_1": (-1.2, 3.0),
+    "pool_2": (-5.0, -2.6),
+    "pool_3": (1.0, -2.4),
+    "pool_4": (4.9, 0.3),
+    "pool_5": (-6.6, 5.4),
+}
+POOL_RADIUS = 0.4
+STEPS, RISE, RUN, STAIR_WIDTH, LANDING = 6, 0.18, 0.26, 1.2, 1.6
+STAIR_Y, LANDING_X = 3.0, -1.2
+STEEL_RGB, CONCRETE_RGB = [0.55, 0.57, 0.6], [0.72, 0.71, 0.68]
+
+
+def build(seed: int = 0) -> World:
+    """Builds the hall. `seed` moves the crates and the debris."""
+    rng = np.random.default_rng(seed)
+    solids = [*_shell(), *_stair(), *_pipes(), *_pools(), *_crates(rng), *_debris(rng)]
+    solids.append(
+        Solid(name="source", cylinder=[0.12, 0.3], xyz=[8.6, -5.6, 0.15], surface="source", rgb=[0.95, 0.8, 0.1])
+    )
+    return World(
+        solids=solids,
+        surfaces={
+            "floor": surfaces.CONCRETE_FLOOR,
+            "wall": surfaces.CONCRETE_WALL,
+            "steel": surfaces.STEEL,
+            "stair": surfaces.STAIR,
+            "crate": surfaces.WOOD,
+            "debris": surfaces.RUBBLE,
+            "water": surfaces.WATER,
+            "hot_pipe": surfaces.HOT_PIPE,
+            "source": surfaces.SOURCE,
+        },
+    )
+
+
+def _shell() -> list[Solid]:
+    floor = Solid(name="floor", box=[20.4, 14.4, 0.2], xyz=[0, 0, -0.1], surface="floor", rgb=[0.5, 0.5, 0.48])
+    wall = {"surface": "wall", "rgb": CONCRETE_RGB}
+    walls = [
+        Solid(name="wall_north", box=[20.4, 0.2, 4.0], xyz=[0, 7.1, 2.0], **wall),
+        Solid(name="wall_south", box=[20.4, 0.2, 4.0], xyz=[0, -7.1, 2.0], **wall),
+        Solid(name="wall_east", box=[0.2, 14.0, 4.0], xyz=[10.1, 0, 2.0], **wall),
+        Solid(name="wall_west", box=[0.2, 14.0, 4.0], xyz=[-10.1, 0, 2.0], **wall),
+        Solid(name="partition", box=[5.0, 0.15, 2.6], xyz=[0.8, -0.6, 1.3], **wall),
+        Solid(name="buttress", box=[1.2, 0.6, 4.0], xyz=[-3.4, 6.7, 2.0], **wall),
+    ]
+    places = [(-5.0, 0.4), (3.6, -2.2), (-2.6, -2.6), (5.2, 5.4)]
+    pillars = [
+        Solid(name=f"pillar_{i}", box=[0.4, 0.4, 4.0], xyz=[x, y, 2.0], **wall) for i, (x, y) in enumerate(places, 1)
+    ]
+    return [floor, *walls, *pillars]
+
+
+def _stair() -> list[Solid]:
+    """Six steps up to the landing from either side along x; treads and risers are plates, so there is room below."""
+    look = {"surface": "stair", "rgb": STEEL_RGB}
+    height = STEPS * RISE
+    solids = [
+        Solid(name="landing", box=[LANDING, STAIR_WIDTH, 0.05], xyz=[LANDING_X, STAIR_Y, height - 0.025], **look),
+    ]
+    for side, sign in (("east", 1.0), ("west", -1.0)):
+        foot = LANDING_X + sign * (LANDING / 2 + (STEPS - 1) * RUN)
+        for i in range(STEPS):
+            edge = foot - sign * i * RUN
+            riser_x = edge - sign * 0.01
+            solids.append(
+                Solid(
+                    name=f"riser_{side}_{i + 1}",
+                    box=[0.02, STAIR_WIDTH, RISE],
+                    xyz=[riser_x, STAIR_Y, (i + 0.5) * RISE],
+                    **look,
+                )
+            )
+            if i < STEPS - 1:
+                solids.append(
+                    Solid(
+                        name=f"tread_{side}_{i + 1}",
+                        box=[RUN, STAIR_WIDTH, 0.03],
+                        xyz=[edge - sign * RUN / 2, STAIR_Y, (i + 1) * RISE - 0.015],
+                        **look,
+                    )
+                )
+    for i, (x, y) in enumerate([(-0.7, -0.55), (-0.7, 0.55), (0.7, -0.55), (0.7, 0.55)], 1):
+        leg = [LANDING_X + x, STAIR_Y + y, (height - 0.05) / 2]
+        solids.append(Solid(name=f"landing_leg_{i}", box=[0.06, 0.06, height - 0.05], xyz=leg, **look))
+    for i, y in enumerate((-STAIR_WIDTH / 2 - 0.03, STAIR_WIDTH / 2 + 0.03), 1):
+        rail = [LANDING_X, STAIR_Y + y, height + 0.9]
+        solids.append(Solid(name=f"rail_{i}", box=[LANDING, 0.05, 0.05], xyz=rail, **look))
+        for j, x in enumerate((-LANDING / 2, LANDING / 2), 1):
+            post = [LANDING_X + x, STAIR_Y + y, (height + 0.9) / 2]
+            solids.append(Solid(name=f"rail_{i}_post_{j}", box=[0.05, 0.05, height + 0.9], xyz=post, **look))
+    return solids
+
+
+def _pipes() -> list[Solid]:
+    cold = {"surface": "steel", "rgb": STEEL_RGB}
+    return [
+        Solid(name="pipe_north_1", cylinder=[0.12, 6.0], xyz=[-6.5, 6.75, 1.0], rpy_deg=[0, 90, 0], **cold),
+        Solid(name="pipe_north_2", cylinder=[0.12, 6.0], xyz=[2.5, 6.75, 1.0], rpy_deg=[0, 90, 0], **cold),
+        Solid(name="pipe_north_3", cylinder=[0.12, 2.6], xyz=[8.3, 6.75, 1.0], rpy_deg=[0, 90, 0], **cold),
+        Solid(
+            name="pipe_hot",
+            cylinder=[0.12, 1.5],
+            xyz=[6.25, 6.75, 1.0],
+            rpy_deg=[0, 90, 0],
+            surface="hot_pipe",
+            rgb=[0.85, 0.3, 0.2],
+        ),
+        Solid(name="pipe_south", cylinder=[0.2, 12.0], xyz=[2.0, -6.75, 2.4], rpy_deg=[0, 90, 0], **cold),
+        *(
+            Solid(name=f"pipe_riser_{i}", cylinder=[0.1, 4.0], xyz=[x, y, 2.0], **cold)
+            for i, (x, y) in enumerate([(9.7, 2.0), (9.7, 2.5), (-9.7, -3.0), (-9.6, 3.6)], 1)
+        ),
+        Solid(name="tank", cylinder=[0.7, 2.2], xyz=[8.6, 5.6, 1.1], **cold),
+        Solid(name="pipe_fallen", cylinder=[0.1, 3.0], xyz=[-7.4, -6.2, 0.1], rpy_deg=[0, 90, 14], **cold),
+    ]
+
+
+def _pools() -> list[Solid]:
+    look = {"surface": "water", "rgb": [0.15, 0.35, 0.6], "collides": False}
+    return [Solid(name=name, cylinder=[POOL_RADIUS, 0.01], xyz=[x, y, 0.0], **look) for name, (x, y) in POOLS.items()]
+
+
+def clearance(points: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Distance of each point to a polyline [m]. points: (N, 2), way: (K, 2)."""
+    start, along = way[:-1], np.diff(way, axis=0)
+    t = np.einsum("nkd,kd->nk", points[:, None] - start, along) / np.maximum((along**2).sum(1), 1e-12)
+    nearest = start + np.clip(t, 0, 1)[..., None] * along
+    return np.linalg.norm(points[:, None] - nearest, axis=-1).min(1)
+
+
+def _spread(rng: np.random.Generator, count: int, gap: float) -> np.ndarray:
+    """Draws `count` places (x, y) at least `gap` [m] away from the way, the stair and the pools."""
+    stair = np.array([[LANDING_X - 3.4, STAIR_Y], [LANDING_X + 3.4, STAIR_Y]])
+    pools = np.array(list(POOLS.values()))
+    places: list[np.ndarray] = []
+    while len(places) < count:
+        place = rng.uniform([-9.4, -6.4], [9.4, 6.2])
+        clear = clearance(place[None], FREE_WAY)[0] > gap and clearance(place[None], stair)[0] > gap + 0.3
+        if clear and np.linalg.norm(pools - place, axis=1).min() > POOL_RADIUS + 0.4:
+            places.append(place)
+    return np.array(places)
+
+
+def _crates(rng: np.random.Generator) -> list[Solid]:
+    solids = []
+    for i, (x, y) in enumerate(_spread(rng, 12, 1.1), 1):
+        size = rng.uniform([0.4, 0.4, 0.3], [0.8, 0.8, 1.1])
+        look = {"surface": "crate", "rgb": [0.6, 0.42, 0.22]}
+        yaw = [0.0, 0.0, float(rng.uniform(0, 90))]
+        solids.append(Solid(name=f"crate_{i}", box=size.tolist(), xyz=[x, y, size[2] / 2], rpy_deg=yaw, **look))
+    return solids
+
+
+def _debris(rng: np.random.Generator) -> list[Solid]:
+    solids = []
+    for i, (x, y) in enumerate(_spread(rng, 45, 0.9), 1):
+        size = rng.uniform(0.05, 0.35, 3)
+        tilt = [*rng.uniform(-25, 25, 2), rng.uniform(0, 180)]
+        look = {"surface": "debris", "rgb": [0.45, 0.43, 0.42]}
+        solids.append(
+            Solid(
+                name=f"debris_{i}",
+                box=size.tolist(),
+                xyz=[x, y, size[2] / 2 - 0.02],
+                rpy_deg=[float(angle) for angle in tilt],
+                **look,
+            )
+        )
+    return solids
