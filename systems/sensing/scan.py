@@ -36,4 +36,5 @@ class Scan:
         """Attribute `name` as an (N,) array, or None where the scan does not have it."""
         if name not in self.cloud_S.point:
             return None
-        return self.cloud_S.point[name].numpy().reshape(len(self.p_SP), -1)[:, 0]
+        values = self.cloud_S.point[name].numpy()
+        return values[:, 0] if values.ndim == 2 else values

@@ -1,0 +1,5 @@
+"""`python -m naraha.diagrams` is the command `naraha`."""
+
+from .cli import main
+
+main()

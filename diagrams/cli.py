@@ -1,0 +1,88 @@
+"""The command `naraha`: one mission each."""
+
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from naraha.systems.errors import InputError, MissionError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Survey robots that go where people cannot: simulate, map, measure.",
+)
+
+Settings = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change one scenario value.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for what the mission leaves.")]
+Seed = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of all noise; the same seed, the same result.")]
+Live = Annotated[bool, typer.Option("--meshcat/--no-meshcat", help="Watch the run in a browser.")]
+Rate = Annotated[float, typer.Option("--realtime-rate", min=0.0, help="Simulated seconds a second; 0: no limit.")]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(version("naraha"))
+        raise typer.Exit
+
+
+@app.callback()
+def naraha(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Survey robots that go where people cannot: simulate, map, measure."""
+
+
+@app.command()
+def survey(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stair_hall",
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Drive a tour through a simulated world, scan, and map it."""
+    from .mission import Options
+    from .scenario import load_scenario
+    from .survey import SurveyScenario
+    from .survey import survey as run
+
+    options = Options(out=out or Path("out/survey"), meshcat=meshcat, realtime_rate=realtime_rate)
+    raise typer.Exit(run(load_scenario(SurveyScenario, scenario, settings or (), seed), options))
+
+
+@app.command("map")
+def map_scans(
+    scans: Annotated[Path, typer.Argument(help="A folder of .ply, .pcd, .bin or .npz scans, or one of them.")],
+    scenario: Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")] = "recorded",
+    truth: Annotated[Path | None, typer.Option("--truth", help="Poses (TUM or KITTI form), to compare with.")] = None,
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Map recorded scans with the systems that map simulated ones."""
+    from .mapping import MapScenario, map_recorded
+    from .mission import Options
+    from .scenario import load_scenario
+
+    options = Options(out=out or Path("out/map"), meshcat=meshcat, realtime_rate=realtime_rate)
+    raise typer.Exit(map_recorded(scans, truth, load_scenario(MapScenario, scenario, settings or (), seed), options))
+
+
+def main() -> None:
+    """Runs the command line; bad input is one line and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"naraha: {error}", file=sys.stderr)
+        sys.exit(2)
+    except MissionError as error:
+        print(f"naraha: {error}", file=sys.stderr)
+        sys.exit(1)

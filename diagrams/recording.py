@@ -1,0 +1,68 @@
+"""The Meshcat recording that a mission leaves, and the view that it starts with."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from naraha.systems.config import quantity
+from naraha.systems.sensing.atomic_files import replacing
+from pydrake.geometry import Meshcat, MeshcatParams, Rgba
+
+from .trajectory import Trajectory
+
+# Colours of the trajectories, everywhere.
+TRUTH = Rgba(0.0, 0.0, 0.0, 1.0)
+ESTIMATE = Rgba(0.1, 0.6, 0.1, 1.0)
+ODOMETRY = Rgba(0.9, 0.5, 0.0, 1.0)
+BASELINE = Rgba(0.6, 0.2, 0.7, 1.0)
+
+
+@dataclass(kw_only=True)
+class RecordingConfig:
+    """What is recorded."""
+
+    # Where the camera is and what it looks at, in W [m].
+    camera: list[float] = quantity([-9.0, -13.0, 12.0], unit="m")
+    target: list[float] = quantity([0.0, -0.5, 0.0], unit="m")
+
+
+def start_meshcat(config: RecordingConfig, *, live: bool) -> Meshcat:
+    """A Meshcat server for this run; only this machine reaches it. Prints its address when `live`."""
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
+    meshcat.SetProperty("/Background", "bottom_color", [0.75, 0.78, 0.82])
+    meshcat.SetProperty("/Grid", "visible", False)
+    meshcat.SetProperty("/Axes", "visible", False)
+    meshcat.SetCameraPose(np.array(config.camera), np.array(config.target))
+    if live:
+        print(f"Meshcat: {meshcat.web_url()}", flush=True)
+    meshcat.StartRecording(frames_per_second=16.0, set_visualizations_while_recording=live)
+    return meshcat
+
+
+def draw_trajectory(meshcat: Meshcat, name: str, trajectory: Trajectory, colour: Rgba, width: float = 3.0) -> None:
+    """Draws a path as a line at `trajectory/<name>`, slightly above where the base was."""
+    points = trajectory.positions().T + np.array([[0], [0], [0.05]])
+    if points.shape[1] > 1:
+        meshcat.SetLine(f"trajectory/{name}", points, width, colour)
+
+
+def write_recording(meshcat: Meshcat, path: Path) -> None:
+    """Ends the recording and writes it as one HTML file that opens without a network."""
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    with replacing(path) as temporary:
+        temporary.write_text(meshcat.StaticHtml())
+
+
+__all__: Sequence[str] = [
+    "BASELINE",
+    "ESTIMATE",
+    "ODOMETRY",
+    "TRUTH",
+    "RecordingConfig",
+    "draw_trajectory",
+    "start_meshcat",
+    "write_recording",
+]

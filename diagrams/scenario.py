@@ -1,0 +1,134 @@
+"""Scenarios: YAML on dataclasses, with every mistake reported as file, key and valid values."""
+
+import copy
+import dataclasses
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import yaml
+from naraha.models import MODELS_DIR
+from naraha.systems.config import check_config
+from naraha.systems.errors import ScenarioError
+from pydrake.common.yaml import yaml_dump, yaml_load_data, yaml_load_typed
+
+SCENARIOS_DIR = MODELS_DIR / "scenarios"
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios that come with the package."""
+    return sorted(path.stem for path in SCENARIOS_DIR.glob("*.yaml"))
+
+
+def load_scenario[T](schema: type[T], name: str, settings: Iterable[str] = (), seed: int | None = None) -> T:
+    """Reads a scenario, applies settings, and checks every key and every range.
+
+    Args:
+        schema: keyword-only dataclass to fill; what the file does not say keeps its default.
+        name: a shipped scenario's name, or a YAML file.
+        settings: `path=value` items of the command line; the path is dotted, the value YAML.
+        seed: replaces the scenario's `seed`.
+
+    Raises:
+        ScenarioError, ConfigError: one line that names file, key and the valid values.
+    """
+    path = _find(name)
+    try:
+        data = yaml_load_data(path.read_text())
+    except OSError as error:
+        raise ScenarioError(error.strerror or "cannot be read", where=path) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"not YAML: {_one_line(error)}", where=path) from None
+    if not isinstance(data, dict):
+        raise ScenarioError("not a scenario", where=path, value=data, valid="a mapping of keys to values")
+    _check_keys(schema, data, path, "")
+    for setting in settings:
+        _apply_setting(schema, data, setting)
+    if seed is not None:
+        data["seed"] = seed
+    try:
+        scenario: T = yaml_load_typed(schema=schema, data=yaml_dump(data))
+    except Exception as error:  # yaml_load_typed raises many kinds; all of them mean a value of the wrong type
+        raise ScenarioError(f"wrong type: {_one_line(error)}", where=path) from None
+    check_config(scenario, where=path)
+    return scenario
+
+
+def _find(name: str) -> Path:
+    if name in shipped_scenarios():
+        return SCENARIOS_DIR / f"{name}.yaml"
+    path = Path(name)
+    if path.is_file():
+        return path
+    raise ScenarioError("no such scenario or file", where=name, valid=[*shipped_scenarios(), "a YAML file"])
+
+
+def _apply_setting(schema: type, data: dict[str, Any], setting: str) -> None:
+    where = f"--set {setting}"
+    path, equals, text = setting.partition("=")
+    keys = path.split(".")
+    if not equals or not all(keys):
+        raise ScenarioError("not a setting", where=where, valid="path=value, such as lidar.range_noise=0.01")
+    try:
+        value = yaml_load_data(text, private=True)
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"value is not YAML: {_one_line(error)}", where=where) from None
+    branch: dict[str, Any] = {}
+    leaf = branch
+    for key in keys[:-1]:
+        leaf[key] = leaf = {}
+    leaf[keys[-1]] = copy.deepcopy(value)
+    _check_keys(schema, branch, where, "")
+    for key in keys[:-1]:
+        if not isinstance(data.get(key), dict):
+            data[key] = {}
+        data = data[key]
+    data[keys[-1]] = value
+
+
+def _check_keys(schema: Any, data: Any, where: object, key: str) -> None:
+    """Raises `ScenarioError` for the first key that the schema does not have."""
+    schema = _choose(schema, data)
+    origin, arguments = typing.get_origin(schema), typing.get_args(schema)
+    if isinstance(data, Mapping) and origin in (dict, Mapping):
+        for name, value in data.items():
+            _check_keys(arguments[1], value, where, f"{key}.{name}" if key else str(name))
+    elif isinstance(data, list) and origin is list:
+        for i, value in enumerate(data):
+            _check_keys(arguments[0], value, where, f"{key}[{i}]")
+    elif isinstance(data, Mapping):
+        known = _fields(schema)
+        for name, value in data.items():
+            path = f"{key}.{name}" if key else str(name)
+            if name == "_tag":
+                continue
+            if known is None:
+                raise ScenarioError("takes no keys", where=where, key=key, value=name)
+            if name not in known:
+                close = get_close_matches(str(name), known, n=1)
+                hint = f"; did you mean '{close[0]}'?" if close else ""
+                raise ScenarioError(f"unknown key{hint}", where=where, key=path, valid=sorted(known))
+            _check_keys(known[name], value, where, path)
+
+
+def _choose(schema: Any, data: Any) -> Any:
+    """The member of a union that `data` is for: by its tag, else the first one."""
+    if typing.get_origin(schema) not in (typing.Union, types.UnionType):
+        return schema
+    members = [m for m in typing.get_args(schema) if m is not types.NoneType]
+    tag = data.get("_tag") if isinstance(data, Mapping) else None
+    return next((m for m in members if tag == f"!{m.__name__}"), members[0])
+
+
+def _fields(schema: Any) -> dict[str, Any] | None:
+    if dataclasses.is_dataclass(schema):
+        return {field.name: field.type for field in dataclasses.fields(schema)}
+    fields = getattr(schema, "__fields__", None)  # Drake's own schema types
+    return None if fields is None else {field.name: field.type for field in fields}
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,75 @@
+"""Small builders of URDF elements."""
+
+from xml.etree import ElementTree
+
+type Colour = tuple[float, float, float]
+
+
+def add_link(
+    robot: ElementTree.Element,
+    name: str,
+    mass: float,
+    size: tuple[float, float, float],
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> ElementTree.Element:
+    """Adds a link with the inertia of a solid box of `size` about `centre`."""
+    link = ElementTree.SubElement(robot, "link", name=name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=numbers(*centre))
+    ElementTree.SubElement(inertial, "mass", value=f"{mass:g}")
+    x, y, z = (s * s for s in size)
+    moments = {"ixx": y + z, "iyy": x + z, "izz": x + y}
+    inertia = {key: f"{mass / 12 * value:.6g}" for key, value in moments.items()}
+    ElementTree.SubElement(inertial, "inertia", inertia | {"ixy": "0", "ixz": "0", "iyz": "0"})
+    return link
+
+
+def add_joint(
+    robot: ElementTree.Element, name: str, kind: str, child: str, xyz: tuple[float, float, float]
+) -> ElementTree.Element:
+    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link="base")
+    ElementTree.SubElement(joint, "child", link=child)
+    ElementTree.SubElement(joint, "origin", xyz=numbers(*xyz))
+    return joint
+
+
+def add_collision(
+    link: ElementTree.Element, friction: float, xyz: tuple[float, float, float], shape: ElementTree.Element
+) -> None:
+    collision = ElementTree.SubElement(link, "collision")
+    ElementTree.SubElement(collision, "origin", xyz=numbers(*xyz))
+    ElementTree.SubElement(collision, "geometry").append(shape)
+    properties = ElementTree.SubElement(collision, "drake:proximity_properties")
+    for key in ("drake:mu_static", "drake:mu_dynamic"):
+        ElementTree.SubElement(properties, key, value=f"{friction:g}")
+
+
+def add_visual(
+    link: ElementTree.Element,
+    colour: Colour,
+    xyz: tuple[float, float, float],
+    shape: ElementTree.Element,
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> None:
+    visual = ElementTree.SubElement(link, "visual")
+    ElementTree.SubElement(visual, "origin", xyz=numbers(*xyz), rpy=numbers(*rpy))
+    ElementTree.SubElement(visual, "geometry").append(shape)
+    material = ElementTree.SubElement(visual, "material", name=f"{link.get('name')}_{len(link.findall('visual'))}")
+    ElementTree.SubElement(material, "color", rgba=numbers(*colour, 1.0))
+
+
+def box(x: float, y: float, z: float) -> ElementTree.Element:
+    return ElementTree.Element("box", size=numbers(x, y, z))
+
+
+def sphere(radius: float) -> ElementTree.Element:
+    return ElementTree.Element("sphere", radius=f"{radius:g}")
+
+
+def cylinder(radius: float, length: float) -> ElementTree.Element:
+    return ElementTree.Element("cylinder", radius=f"{radius:g}", length=f"{length:.6g}")
+
+
+def numbers(*values: float) -> str:
+    return " ".join(f"{round(float(v), 5) + 0.0:g}" for v in values)

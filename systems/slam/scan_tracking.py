@@ -1,0 +1,233 @@
+"""Tracking a pose through a sequence of scans, as one function from state to state."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import open3d as o3d
+from open3d.t.geometry import PointCloud
+from pydrake.math import RigidTransform
+
+from ..config import quantity
+from ..sensing import Scan, deskew
+from .keyframe import NO_KEYFRAME, Keyframe, PoseHealth
+from .motion import distance_and_angle, scale_motion
+from .registration import Registration, RegistrationConfig, estimate_normals, register
+from .voxel_cloud import VoxelCloud, transform_points, voxel_filter
+
+REFERENCES = ("local_map", "previous_keyframe")
+GUESSES = ("constant_velocity", "none")
+# Without odometry a gap in the scans is bridged with the last velocity for at most this many times the last step.
+_MAX_EXTRAPOLATION = 3.0
+
+
+@dataclass(kw_only=True)
+class ScanMatcherConfig:
+    """Scan matching with keyframes. The defaults serve a LiDAR of 16 lines or more, in and around buildings."""
+
+    # [s] Interval at which a new scan is looked for; that of the LiDAR or shorter.
+    period: float = quantity(0.1, unit="s", above=0)
+    # What a scan is registered to: the last keyframes together, or the chain of S0-g.
+    reference: str = quantity("local_map", choices=REFERENCES)
+    # Where a scan is first looked for when there is no odometry: moved on at the last velocity, or where the last was.
+    guess: str = quantity("constant_velocity", choices=GUESSES)
+    # [keyframes] How many make the local map.
+    local_map_keyframes: int = quantity(10, unit="keyframes", low=1)
+    # [m] Grid of the local map.
+    local_map_voxel: float = quantity(0.25, unit="m", above=0)
+    # [m], [deg] Motion since the last scan of the local map from which on another is added to it. With odometry, scans
+    # below it are not registered, because registration is what costs; without odometry, all are, and all are keyframes.
+    keyframe_distance: float = quantity(0.5, unit="m", low=0)
+    keyframe_angle_deg: float = quantity(15.0, unit="deg", low=0)
+    # [m] Keyframe clouds are thinned to this grid.
+    keyframe_voxel: float = quantity(0.1, unit="m", above=0)
+    # [m] Points nearer than `min_range` are the robot itself, points beyond `max_range` are not trusted.
+    min_range: float = quantity(0.3, unit="m", low=0)
+    max_range: float = quantity(150.0, unit="m", above=0)
+    # [failures] The scan that fails as the n-th in a row is placed by dead reckoning, as a keyframe with health 0, and
+    # a new local map starts there, so that the survey goes on behind a place that cannot be matched.
+    max_failures: int = quantity(5, unit="failures", low=1)
+    # Turns of `retry_yaws_deg` are only tried without odometry.
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Abstract state of the tracker; read-only, so that Drake may share it instead of copying it at every update.
+
+    Attributes:
+        X_MB, X_OB, time: pose last measured, the odometry then (None without odometry), and when.
+        step, step_time: motion and time between the last two measured poses, for tracking without odometry.
+        tried_at: pose at the last attempt to make a keyframe, in O with odometry, else in M.
+        last_index: `Scan.index` last seen.
+        keyframe: the latest one.
+        recent, target: keyframes of the local map, and that map in M, with normals.
+        failures: attempts that failed in a row.
+    """
+
+    X_MB: RigidTransform
+    X_OB: RigidTransform | None = None
+    time: float = 0.0
+    step: RigidTransform = field(default_factory=RigidTransform)
+    step_time: float = math.inf
+    tried_at: RigidTransform = field(default_factory=RigidTransform)
+    last_index: int = -1
+    keyframe: Keyframe = NO_KEYFRAME
+    recent: tuple[Keyframe, ...] = ()
+    target: PointCloud | None = None
+    failures: int = 0
+    health: PoseHealth = PoseHealth(False, 0.0, "no scan yet", 0.0, 0, 0)
+
+    def __deepcopy__(self, memo: dict) -> "Track":
+        return self
+
+    @property
+    def X_MO(self) -> RigidTransform:
+        """Pose of the odometry frame in the map, as of the last measured pose; identity without odometry."""
+        return RigidTransform() if self.X_OB is None else self.X_MB @ self.X_OB.inverse()
+
+
+def track_scan(
+    track: Track,
+    scan: Scan,
+    X_BS: RigidTransform,
+    config: ScanMatcherConfig,
+    X_OB_start_end: tuple[RigidTransform, RigidTransform] | None = None,
+) -> Track:
+    """Takes in one scan: skips it, lets it pass, or registers it and perhaps makes it a keyframe.
+
+    Args:
+        X_OB_start_end: odometry at the start and end of the scan; None without odometry.
+    """
+    if scan.index == track.last_index or scan.index < 0:
+        return track
+    track = replace(track, last_index=scan.index)
+    X_OB: RigidTransform | None = None
+    if X_OB_start_end is not None:
+        X_OB0, X_OB = X_OB_start_end
+        X_BB0 = X_OB.inverse() @ X_OB0
+        guess = track.X_MO @ X_OB
+    else:
+        moving = config.guess == "constant_velocity"
+        guess = track.X_MB @ _predicted_step(track, scan.end_time) if moving else track.X_MB
+        X_BB0 = _predicted_step(track, track.time + scan.end_time - scan.start_time).inverse()
+    if (usable := int(_usable(scan.p_SP, config).sum())) < config.registration.min_points:
+        return _skip(track, f"scan {scan.index} has {usable} usable points, needs {config.registration.min_points}")
+    if track.target is None:
+        first = Registration(guess, 1.0, 0.0, usable, 1.0, True, "")
+        return _accept(track, scan, prepare_cloud(scan, X_BS, X_BB0, config), first, X_OB, config)
+    if X_OB is not None and not _moved(track.tried_at, X_OB, config):
+        return replace(track, health=replace(track.health, scans_used=track.health.scans_used + 1))
+    cloud_B = prepare_cloud(scan, X_BS, X_BB0, config)
+    result = _register(track, cloud_B, guess, config, with_odometry=X_OB is not None)
+    if result.valid:
+        return _accept(track, scan, cloud_B, result, X_OB, config)
+    track = _skip(track, f"scan {scan.index}: {result.reason}")
+    track = replace(track, failures=track.failures + 1, tried_at=guess if X_OB is None else X_OB)
+    if track.failures < config.max_failures:
+        return track
+    # Lost: go on from where dead reckoning says, on a map of its own.
+    placed = _accept(replace(track, recent=()), scan, cloud_B, result, X_OB, config)
+    reason = f"{track.health.reason}; new local map by dead reckoning after {track.failures} failures"
+    return replace(placed, health=replace(track.health, reason=reason))
+
+
+def prepare_cloud(scan: Scan, X_BS: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> PointCloud:
+    """De-skews a scan to its end, takes it to the base frame and thins it.
+
+    Args:
+        X_BB0: pose of the base at the start of the scan in the base at its end.
+    """
+    usable = _usable(scan.p_SP, config)
+    points = scan.p_SP[usable]
+    times, duration = scan.attribute("time"), scan.end_time - scan.start_time
+    if times is not None and duration > 0:
+        fraction = np.clip(times[usable] / duration, 0, 1)
+        X_S0S1 = X_BS.inverse() @ X_BB0.inverse() @ X_BS
+        points = deskew(points, fraction, X_S0S1.GetAsMatrix4())
+    cloud = scan.cloud_S.select_by_mask(o3d.core.Tensor(usable))
+    p_BP = transform_points(X_BS.GetAsMatrix4(), np.asarray(points, float))
+    cloud.point.positions = o3d.core.Tensor(p_BP.astype(np.float32))
+    return voxel_filter(cloud, config.keyframe_voxel)
+
+
+def local_map(keyframes: tuple[Keyframe, ...], config: ScanMatcherConfig) -> PointCloud:
+    """The clouds of `keyframes` in one, in M, thinned and with normals."""
+    voxels = VoxelCloud(config.local_map_voxel)
+    for keyframe in keyframes:
+        bare = PointCloud(keyframe.cloud_B.point.positions)
+        voxels = voxels.insert(bare, keyframe.X_MB.GetAsMatrix4())
+    cloud = voxels.to_cloud()
+    normals = estimate_normals(cloud.point.positions.numpy(), config.registration.normal_radius)
+    cloud.point.normals = o3d.core.Tensor(normals.astype(np.float32))
+    return cloud
+
+
+def _usable(points: np.ndarray, config: ScanMatcherConfig) -> np.ndarray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        ranges = np.sqrt((points.astype(float) ** 2).sum(axis=1))
+        return (ranges >= config.min_range) & (ranges <= config.max_range)  # False for NaN
+
+
+def _predicted_step(track: Track, time: float) -> RigidTransform:
+    """Motion from the last measured pose to `time` at the velocity of the last step."""
+    ratio = (time - track.time) / track.step_time
+    return scale_motion(track.step, float(np.clip(ratio, 0, _MAX_EXTRAPOLATION)))
+
+
+def _moved(X_AB: RigidTransform, X_AC: RigidTransform, config: ScanMatcherConfig) -> bool:
+    distance, angle = distance_and_angle(X_AB.inverse() @ X_AC)
+    return distance >= config.keyframe_distance or angle >= np.deg2rad(config.keyframe_angle_deg)
+
+
+def _register(
+    track: Track, cloud_B: PointCloud, guess: RigidTransform, config: ScanMatcherConfig, *, with_odometry: bool
+) -> Registration:
+    assert track.target is not None
+    if with_odometry:
+        return register(cloud_B, track.target, guess, dataclasses.replace(config.registration, retry_yaws_deg=[]))
+    result = register(cloud_B, track.target, guess, config.registration)
+    if config.guess == "none" or (result.valid and result.fitness >= config.registration.retry_fitness):
+        return result
+    again = register(cloud_B, track.target, track.X_MB, config.registration)
+    return again if (again.valid, again.fitness) > (result.valid, result.fitness) else result
+
+
+def _accept(
+    track: Track,
+    scan: Scan,
+    cloud_B: PointCloud,
+    result: Registration,
+    X_OB: RigidTransform | None,
+    config: ScanMatcherConfig,
+) -> Track:
+    used = track.health.scans_used + 1
+    health = PoseHealth(True, result.health, "", scan.end_time, used, track.health.scans_skipped)
+    keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health)
+    elapsed = scan.end_time - track.time
+    measured_before = track.target is not None and track.failures == 0 and elapsed > 0
+    accepted = replace(
+        track,
+        X_MB=result.X_TS,
+        X_OB=X_OB,
+        time=scan.end_time,
+        step=track.X_MB.inverse() @ result.X_TS if measured_before else RigidTransform(),
+        step_time=elapsed if measured_before else math.inf,
+        tried_at=result.X_TS if X_OB is None else X_OB,
+        failures=0,
+        keyframe=keyframe,
+        health=health,
+    )
+    if config.reference == "previous_keyframe":
+        recent: tuple[Keyframe, ...] = (keyframe,)
+    elif not track.recent or _moved(track.recent[-1].X_MB, keyframe.X_MB, config):
+        recent = (*track.recent, keyframe)[-config.local_map_keyframes :]
+    else:
+        return accepted
+    return replace(accepted, recent=recent, target=local_map(recent, config))
+
+
+def _skip(track: Track, reason: str) -> Track:
+    skipped = track.health.scans_skipped + 1
+    return replace(track, health=replace(track.health, valid=False, health=0.0, reason=reason, scans_skipped=skipped))

@@ -1,0 +1,70 @@
+"""A running example of every system: a root diagram of the shipped kind and the system inside it.
+
+`EXAMPLES[name](seed)` gives (root, system). A new system gets a line here, or the contract test fails.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from naraha.diagrams.mapping import MapScenario, make_mapping
+from naraha.diagrams.scenario import load_scenario
+from naraha.diagrams.survey import SurveyScenario, make_survey
+from naraha.systems.sensing import write_cloud
+from open3d.t.geometry import PointCloud
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Diagram, LeafSystem, System
+
+Example = Callable[[int], tuple[System, LeafSystem]]
+
+
+def leaves(system: System) -> list[LeafSystem]:
+    """All leaf systems of a diagram, at any depth."""
+    if isinstance(system, Diagram):
+        return [leaf for child in system.GetSystems() for leaf in leaves(child)]
+    return [system]
+
+
+def find(root: System, name: str) -> tuple[System, LeafSystem]:
+    return root, next(leaf for leaf in leaves(root) if type(leaf).__name__ == name)
+
+
+def short_survey(seed: int) -> SurveyScenario:
+    return load_scenario(SurveyScenario, "stair_hall", seed=seed)
+
+
+def in_survey(name: str, meshcat: bool = False) -> Example:
+    return lambda seed: find(make_survey(short_survey(seed), Meshcat() if meshcat else None), name)
+
+
+def replay(seed: int) -> tuple[System, LeafSystem]:
+    folder = Path(tempfile.mkdtemp())
+    rng = np.random.default_rng(seed)
+    for i in range(6):
+        write_cloud(folder / f"{i}.ply", PointCloud(rng.uniform(-3, 3, (500, 3)).astype(np.float32)))
+    (folder / "3.ply").write_text("not a scan")
+    return find(make_mapping(MapScenario(), sorted(folder.iterdir())), "ScanReplay")
+
+
+EXAMPLES: dict[str, Example] = {
+    **{
+        name: in_survey(name)
+        for name in (
+            "BodyPose",
+            "FlipperDriver",
+            "FlipperRule",
+            "Imu",
+            "KanayamaTracking",
+            "Lidar",
+            "Odometry6Dof",
+            "ScanMatcher",
+            "SurveyMap",
+            "TrackDriver",
+            "TrackEncoders",
+            "WaypointTour",
+        )
+    },
+    "KeyframeDisplay": in_survey("KeyframeDisplay", meshcat=True),
+    "ScanReplay": replay,
+}
