@@ -33,6 +33,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from .mission import Ending, Mission, Options
 from .recording import BASELINE, ESTIMATE, TRUTH, RecordingConfig, draw_trajectory, start_meshcat, write_recording
 from .trajectory import Trajectory
+from .wiring import DiagramReader, connect, export_outputs
 
 
 @dataclass(kw_only=True)
@@ -62,12 +63,13 @@ def make_mapping(scenario: MapScenario, scans: list[Path], meshcat: Meshcat | No
         if config is not None:
             matcher = ScanMatcher(config, X_BS=RigidTransform(), X_MB0=RigidTransform(), with_odometry=False)
             builder.AddNamedSystem(name, matcher)
-            builder.Connect(replay.GetOutputPort("scan_S"), matcher.GetInputPort("scan_S"))
+            connect(builder, replay, "scan_S", matcher)
     slam = builder.GetSubsystemByName("slam")
-    builder.Connect(slam.GetOutputPort("keyframe"), survey_map.GetInputPort("keyframe"))
+    connect(builder, slam, "keyframe", survey_map)
     if meshcat is not None:
         display = builder.AddNamedSystem("display", KeyframeDisplay(scenario.display, meshcat))
-        builder.Connect(slam.GetOutputPort("keyframe"), display.GetInputPort("keyframe"))
+        connect(builder, slam, "keyframe", display)
+    export_outputs(builder)
     diagram = builder.Build()
     diagram.set_name("mapping")
     return diagram
@@ -86,26 +88,21 @@ def require_usable(scans: list[Path]) -> None:
         raise first
 
 
-class MapLog:
+class MapLog(DiagramReader):
     """What the metrics and products are made of, read from the running diagram at every step."""
 
     def __init__(self, diagram: Diagram, scans: list[Path], times: np.ndarray, period: float):
-        self._diagram, self._scans, self._times, self._period = diagram, scans, times, period
-        self._context: Context | None = None
+        super().__init__(diagram)
+        self._scans, self._times, self._period = scans, times, period
         self.names = [name for name in ("slam", "baseline") if diagram.HasSubsystemNamed(name)]
         # Time and pose of every scan that was placed, by the index of the scan.
         self.placed: dict[str, dict[int, RigidTransform]] = {name: {} for name in self.names}
 
-    def read(self, system: str, port: str) -> object:
-        """Value of an output port of a subsystem, now."""
-        subsystem = self._diagram.GetSubsystemByName(system)
-        return subsystem.GetOutputPort(port).Eval(subsystem.GetMyContextFromRoot(self._context))
-
     def step(self, context: Context) -> Ending | None:
         """Notes where the scans were placed, and ends after the last one."""
-        self._context = context
+        self.context = context
         for name in self.names:
-            keyframe = self.read(name, "keyframe")
+            keyframe = self.read(f"{name}.keyframe")
             if keyframe.index >= 0:
                 self.placed[name].setdefault(keyframe.index, keyframe.X_MB)
         if context.get_time() > (len(self._scans) + 1) * self._period:
@@ -113,7 +110,7 @@ class MapLog:
         return None
 
     def status_line(self, context: Context) -> str:
-        health = self.read("slam", "health")
+        health = self.read("slam.health")
         return f"scan {min(round(context.get_time() / self._period), len(self._scans))} of {len(self._scans)}, " + (
             "ok" if health.valid else health.reason
         )
@@ -127,13 +124,13 @@ class MapLog:
 
     def metrics(self, scenario: MapScenario, truth: Trajectory | None) -> dict[str, float]:
         """Counts, and errors against the given poses with the first scan's pose aligned."""
-        health, keyframes = self.read("slam", "health"), self.read("survey_map", "keyframes")
+        health, keyframes = self.read("slam.health"), self.read("survey_map.keyframes")
         metrics: dict[str, float] = {
             "scans": len(self._scans),
             "scans_mapped": len(self.placed["slam"]),
-            "scans_skipped": int(self.read("replay", "scans_skipped")[0]) + health.scans_skipped,
+            "scans_skipped": int(self.read("replay.scans_skipped")[0]) + health.scans_skipped,
             "path_length_m": self.trajectory("slam").length(),
-            "map_points": len(self.read("survey_map", "map_M").point.positions),
+            "map_points": len(self.read("survey_map.map_M").point.positions),
         }
         if truth is None or not keyframes:
             return metrics
@@ -183,14 +180,14 @@ def map_recorded(folder: Path, truth_file: Path | None, scenario: MapScenario, o
         on_step=log.step,
         status_line=log.status_line,
     )
-    for line in log.read("replay", "skipped"):
+    for line in log.read("replay.skipped"):
         options.console.print(f"skipped: {line}", highlight=False, markup=False, soft_wrap=True)
 
     def write_metrics() -> None:
         mission.metrics.update(log.metrics(scenario, truth))
 
     def write_map() -> None:
-        write_cloud(mission.path("survey_map.ply"), log.read("survey_map", "map_M"))
+        write_cloud(mission.path("survey_map.ply"), log.read("survey_map.map_M"))
 
     def write_trajectory() -> None:
         trajectory = log.trajectory("slam")

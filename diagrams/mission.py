@@ -150,7 +150,8 @@ class Mission:
                 product()
             except (NarahaError, RuntimeError, ValueError, OSError) as error:
                 self.options.console.print(f"[yellow]{product.__name__}: {error}")
-                ending = Ending("failed", f"{product.__name__}: {' '.join(str(error).split())}")
+                if ending.status != "failed":
+                    ending = Ending("failed", f"{product.__name__}: {' '.join(str(error).split())}")
         self.metrics = {
             "status": ending.status,
             "reason": ending.reason,

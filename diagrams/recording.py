@@ -1,5 +1,6 @@
 """The Meshcat recording that a mission leaves, and the view that it starts with."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,11 @@ class RecordingConfig:
 
 def start_meshcat(config: RecordingConfig, *, live: bool) -> Meshcat:
     """A Meshcat server for this run; only this machine reaches it. Prints its address when `live`."""
+    log = logging.getLogger("drake")
+    level = log.level
+    log.setLevel(logging.WARNING)  # Drake announces its address also when nobody is to look
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    log.setLevel(level)
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [0.75, 0.78, 0.82])
     meshcat.SetProperty("/Grid", "visible", False)

@@ -2,6 +2,7 @@
 
 import zlib
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from naraha.models import MODELS_DIR
@@ -22,8 +23,10 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.lcm import LcmBuses
+
+from .wiring import connect, subsystem
 
 
 @dataclass(kw_only=True)
@@ -43,7 +46,7 @@ class RobotConfig:
     # A model under models/: the name of its URDF.
     model: str = "crawler"
     # Start in the world [m], height of the base's origin over the ground included.
-    start_xyz: list[float] = quantity([0.0, 0.0, 0.085], unit="m")
+    start_xyz: list[float] = quantity([0.0, 0.0, 0.08], unit="m")
     # Heading at the start [deg].
     start_yaw_deg: float = quantity(0.0, unit="deg")
     # Driver of the model.
@@ -51,7 +54,7 @@ class RobotConfig:
 
     def X_WB(self) -> RigidTransform:
         """Pose of the base at the start."""
-        return RigidTransform(RollPitchYaw(0, 0, np.deg2rad(self.start_yaw_deg)), self.start_xyz)
+        return RigidTransform(RollPitchYaw(0, 0, np.deg2rad(self.start_yaw_deg)), np.array(self.start_xyz))
 
 
 @dataclass(kw_only=True)
@@ -114,7 +117,7 @@ def make_station(config: StationConfig, *, seed: int, meshcat: Meshcat | None = 
     )
     driver = builder.GetSubsystemByName("robot.driver")
     _apply_imu(config, plant, builder, seed)
-    builder.Connect(builder.GetSubsystemByName("imu").GetOutputPort("rpy"), driver.GetInputPort("rpy"))
+    connect(builder, builder.GetSubsystemByName("imu"), "rpy", driver)
     if config.lidar is not None:
         _apply_lidar(config.lidar, world, plant, builder, seed)
     _apply_truth(plant, builder)
@@ -168,13 +171,13 @@ def _apply_imu(config: StationConfig, plant: MultibodyPlant, builder: DiagramBui
     )
     builder.AddNamedSystem("imu", imu)
     for name in ("body_poses", "body_spatial_velocities", "body_spatial_accelerations"):
-        builder.Connect(plant.GetOutputPort(name), imu.GetInputPort(name))
+        connect(builder, plant, name, imu)
     for name in ("rpy", "gyro", "accelerometer"):
         builder.ExportOutput(imu.GetOutputPort(name), name)
 
 
 def _apply_lidar(config: LidarConfig, world: World, plant: MultibodyPlant, builder: DiagramBuilder, seed: int) -> None:
-    scene_graph = builder.GetSubsystemByName("scene_graph")
+    scene_graph: Any = builder.GetSubsystemByName("scene_graph")
     body = plant.GetBodyByName("lidar", plant.GetModelInstanceByName("robot"))
     robot = plant.GetBodyIndices(plant.GetModelInstanceByName("robot"))
     # The beams start inside the LiDAR's housing, which is transparent to them.
@@ -189,20 +192,20 @@ def _apply_lidar(config: LidarConfig, world: World, plant: MultibodyPlant, build
         seed=sensor_seed(seed, "lidar"),
     )
     builder.AddNamedSystem("lidar", lidar)
-    builder.Connect(scene_graph.GetOutputPort("query"), lidar.GetInputPort("geometry_query"))
+    connect(builder, scene_graph, "query", lidar, "geometry_query")
     builder.ExportOutput(lidar.GetOutputPort("scan_S"), "scan_S")
 
 
 def _apply_truth(plant: MultibodyPlant, builder: DiagramBuilder) -> None:
     truth = builder.AddNamedSystem("truth", BodyPose.of(plant, "base", "robot"))
-    builder.Connect(plant.GetOutputPort("body_poses"), truth.GetInputPort("body_poses"))
+    connect(builder, plant, "body_poses", truth)
     builder.ExportOutput(truth.GetOutputPort("X_WB"), "cheat.X_WB")
 
 
 def _check_ground(config: StationConfig, station: Diagram) -> None:
     """Raises `WorldError` when nothing that carries is within 0.5 m below the robot's start."""
     context = station.CreateDefaultContext()
-    scene_graph = station.GetSubsystemByName("scene_graph")
+    scene_graph = subsystem(station, "scene_graph")
     query = scene_graph.GetOutputPort("query").Eval(scene_graph.GetMyContextFromRoot(context))
     inspector = query.inspector()
     start = config.robot.X_WB().translation()
@@ -215,9 +218,9 @@ def _check_ground(config: StationConfig, station: Diagram) -> None:
     )
 
 
-def X_BS(station: Diagram) -> RigidTransform:
+def X_BS(station: System) -> RigidTransform:
     """Pose of the LiDAR's frame S in the robot's base B."""
-    plant = station.GetSubsystemByName("plant")
+    plant = subsystem(station, "plant")
     robot = plant.GetModelInstanceByName("robot")
     context = plant.CreateDefaultContext()
     base, lidar = plant.GetBodyByName("base", robot), plant.GetBodyByName("lidar", robot)

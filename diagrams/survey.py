@@ -37,6 +37,7 @@ from .recording import (
 )
 from .station import X_BS, StationConfig, make_station, station_world
 from .trajectory import Trajectory
+from .wiring import DiagramReader, connect, export_outputs, subsystem
 
 
 @dataclass(kw_only=True)
@@ -82,28 +83,25 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     tour = builder.AddNamedSystem("tour", WaypointTour(scenario.tour))
     tracking = builder.AddNamedSystem("tracking", KanayamaTracking(scenario.tracking))
 
-    def connect(source: Diagram, output: str, target: Diagram, *inputs: str) -> None:
-        for name in inputs or (output,):
-            builder.Connect(source.GetOutputPort(output), target.GetInputPort(name))
-
-    connect(station, "track_displacements", odometry)
-    connect(station, "rpy", odometry)
-    connect(station, "scan_S", slam)
-    connect(odometry, "X_OB", slam)
-    connect(slam, "keyframe", survey_map)
-    connect(slam, "X_MB", tour)
-    connect(slam, "X_MB", tracking)
-    connect(tour, "reference_pose", tracking)
-    connect(tour, "reference_twist", tracking)
-    connect(tracking, "twist_command", station)
-    connect(tour, "flipper_preset", station)
+    connect(builder, station, "track_displacements", odometry)
+    connect(builder, station, "rpy", odometry)
+    connect(builder, station, "scan_S", slam)
+    connect(builder, odometry, "X_OB", slam)
+    connect(builder, slam, "keyframe", survey_map)
+    connect(builder, slam, "X_MB", tour)
+    connect(builder, slam, "X_MB", tracking)
+    connect(builder, tour, "reference_pose", tracking)
+    connect(builder, tour, "reference_twist", tracking)
+    connect(builder, tracking, "twist_command", station)
+    connect(builder, tour, "flipper_preset", station)
     if scenario.baseline is not None:
         baseline = builder.AddNamedSystem("baseline", ScanMatcher(scenario.baseline, X_BS=X_BS(station), X_MB0=X_WB0))
-        connect(station, "scan_S", baseline)
-        connect(odometry, "X_OB", baseline)
+        connect(builder, station, "scan_S", baseline)
+        connect(builder, odometry, "X_OB", baseline)
     if meshcat is not None:
         display = builder.AddNamedSystem("display", KeyframeDisplay(scenario.display, meshcat))
-        connect(slam, "keyframe", display)
+        connect(builder, slam, "keyframe", display)
+    export_outputs(builder)
     diagram = builder.Build()
     diagram.set_name("survey")
     return diagram
@@ -118,40 +116,33 @@ def check_flippers(scenario: SurveyScenario) -> None:
             raise ConfigError("unknown flipper preset", key=key, value=waypoint.flippers, valid=presets)
 
 
-class SurveyLog:
+class SurveyLog(DiagramReader):
     """What a survey's metrics and products are made of, read from the running diagram at every step."""
 
     def __init__(self, scenario: SurveyScenario, diagram: Diagram):
-        self._scenario, self._diagram = scenario, diagram
+        super().__init__(diagram)
+        self._scenario = scenario
         sources = {
-            "truth": ("station", "cheat.X_WB"),
-            "estimate": ("slam", "X_MB"),
-            "odometry": ("odometry", "X_OB"),
-            "baseline": ("baseline", "X_MB"),
+            "truth": "station.cheat.X_WB",
+            "estimate": "slam.X_MB",
+            "odometry": "odometry.X_OB",
+            "baseline": "baseline.X_MB",
         }
-        self.trajectories = {
-            name: Trajectory() for name, (system, _) in sources.items() if diagram.HasSubsystemNamed(system)
-        }
-        self._sources = {name: sources[name] for name in self.trajectories}
+        self._sources = {name: port for name, port in sources.items() if diagram.HasOutputPort(port)}
+        self.trajectories = {name: Trajectory() for name in self._sources}
         self._last_waypoint = (0.0, 0.0)
-        self._context: Context | None = None
-
-    def read(self, system: str, port: str) -> object:
-        """Value of an output port of a subsystem, now."""
-        subsystem = self._diagram.GetSubsystemByName(system)
-        return subsystem.GetOutputPort(port).Eval(subsystem.GetMyContextFromRoot(self._context))
 
     def step(self, context: Context) -> Ending | None:
         """Appends the poses of now, and says whether the survey is over."""
-        self._context, time = context, context.get_time()
-        for name, (system, port) in self._sources.items():
-            self.trajectories[name].append(time, self.read(system, port))
-        reached = float(self.read("tour", "waypoints_reached")[0])
+        self.context, time = context, context.get_time()
+        for name, port in self._sources.items():
+            self.trajectories[name].append(time, self.read(port))
+        reached = float(self.read("tour.waypoints_reached")[0])
         if reached > self._last_waypoint[0]:
             self._last_waypoint = (reached, time)
-        rpy = self.read("station", "rpy")
+        rpy = self.read("station.rpy")
         count = len(self._scenario.tour.waypoints)
-        if self.read("tour", "done")[0] > 0:
+        if self.read("tour.done")[0] > 0:
             return Ending("done", f"all {count} waypoints are reached")
         if np.cos(rpy[0]) * np.cos(rpy[1]) < np.cos(self._scenario.tip_over_angle):
             return Ending("failed", f"the robot tipped over at {time:.1f} s")
@@ -160,21 +151,21 @@ class SurveyLog:
         return None
 
     def status_line(self, context: Context) -> str:
-        health = self.read("slam", "health")
-        return f"waypoint {int(self.read('tour', 'waypoints_reached')[0]) + 1}, {health.scans_used} keyframes"
+        health = self.read("slam.health")
+        return f"waypoint {int(self.read('tour.waypoints_reached')[0]) + 1}, {health.scans_used} keyframes"
 
     def keyframes(self) -> tuple[Keyframe, ...]:
-        return self.read("survey_map", "keyframes")
+        return self.read("survey_map.keyframes")
 
     def metrics(self) -> dict[str, float]:
         """Errors against the truth of all trajectories and of the maps that are built on them (row S0-g)."""
         scenario, truth, keyframes = self._scenario, self.trajectories["truth"], self.keyframes()
-        health = self.read("slam", "health")
+        health = self.read("slam.health")
         metrics: dict[str, float] = {
             "waypoints": len(scenario.tour.waypoints),
             "waypoints_reached": int(self._last_waypoint[0]),
             "path_length_m": truth.length(),
-            "scans": int(self.read("station", "scan_S").index) + 1 if scenario.lidar is not None else 0,
+            "scans": int(self.read("station.scan_S").index) + 1 if scenario.lidar is not None else 0,
             "keyframes": len(keyframes),
             "scans_skipped": health.scans_skipped,
         }
@@ -199,8 +190,7 @@ class SurveyLog:
         return metrics
 
     def _true_surfaces(self) -> RayScene:
-        station = self._diagram.GetSubsystemByName("station")
-        inspector = station.GetSubsystemByName("scene_graph").model_inspector()
+        inspector = subsystem(self.diagram, "station", "scene_graph").model_inspector()
         return RayScene(inspector, station_world(self._scenario, self._scenario.seed).surface_table(), threads=0)
 
 
@@ -222,7 +212,7 @@ def survey(scenario: SurveyScenario, options: Options) -> int:
         mission.metrics.update(log.metrics())
 
     def write_map() -> None:
-        write_cloud(mission.path("survey_map.ply"), log.read("survey_map", "map_M"))
+        write_cloud(mission.path("survey_map.ply"), log.read("survey_map.map_M"))
 
     def write_trajectories() -> None:
         for name, file in (("estimate", "trajectory.txt"), ("odometry", "odometry.txt"), ("truth", "truth.txt")):

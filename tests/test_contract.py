@@ -11,6 +11,7 @@ import pytest
 import yaml
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
+
 from tests.examples import EXAMPLES
 
 
@@ -48,7 +49,7 @@ def fingerprint(value):
     if hasattr(value, "__dataclass_fields__"):
         return {name: fingerprint(getattr(value, name)) for name in value.__dataclass_fields__}
     if type(value).__name__ == "BusValue":
-        return {name: fingerprint(item.get_value()) for name, item in value}
+        return {name: fingerprint(value.Find(name)) for name in value}
     return repr(value)
 
 

@@ -52,7 +52,9 @@ def add_visual(
     shape: ElementTree.Element,
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> None:
-    visual = ElementTree.SubElement(link, "visual")
+    # Named, so that surfaces can be given to it and the LiDAR can leave its own housing out.
+    name = f"{link.get('name')}_visual_{len(link.findall('visual')) + 1}"
+    visual = ElementTree.SubElement(link, "visual", name=name)
     ElementTree.SubElement(visual, "origin", xyz=numbers(*xyz), rpy=numbers(*rpy))
     ElementTree.SubElement(visual, "geometry").append(shape)
     material = ElementTree.SubElement(visual, "material", name=f"{link.get('name')}_{len(link.findall('visual'))}")

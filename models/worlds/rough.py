@@ -1,5 +1,7 @@
 """Rough ground: a walled yard with low blocks and ramps drawn from a seed, all of them passable for the crawler."""
 
+from typing import Any
+
 import numpy as np
 
 from . import surfaces
@@ -14,7 +16,7 @@ def build(seed: int = 0) -> World:
     Blocks are at most 0.08 m high and ramps at most 12° steep.
     """
     rng = np.random.default_rng(seed)
-    wall = {"surface": "wall", "rgb": [0.72, 0.71, 0.68]}
+    wall: dict[str, Any] = {"surface": "wall", "rgb": [0.72, 0.71, 0.68]}
     half = SIZE / 2
     solids = [
         Solid(name="floor", box=[SIZE, SIZE, 0.2], xyz=[0, 0, -0.1], surface="floor", rgb=[0.5, 0.5, 0.48]),
@@ -35,14 +37,14 @@ def build(seed: int = 0) -> World:
         (x, y), height = place(), rng.uniform(0.02, 0.08)
         size = [*rng.uniform(0.15, 0.6, 2).tolist(), float(height)]
         yaw = [0.0, 0.0, float(rng.uniform(0, 90))]
-        rubble = {"surface": "debris", "rgb": [0.45, 0.43, 0.42]}
+        rubble: dict[str, Any] = {"surface": "debris", "rgb": [0.45, 0.43, 0.42]}
         solids.append(Solid(name=f"block_{i}", box=size, xyz=[x, y, height / 2], rpy_deg=yaw, **rubble))
     for i in range(1, 9):
         (x, y), slope = place(), float(rng.uniform(5, 12))
         # A long thin box, tilted; its lower edge is in the floor.
         length, thickness = 1.2, 0.1
         z = np.sin(np.deg2rad(slope)) * length / 2 - np.cos(np.deg2rad(slope)) * thickness / 2
-        ramp = {"surface": "ramp", "rgb": [0.6, 0.6, 0.55]}
+        ramp: dict[str, Any] = {"surface": "ramp", "rgb": [0.6, 0.6, 0.55]}
         tilt = [0.0, -slope, float(rng.uniform(0, 360))]
         solids.append(Solid(name=f"ramp_{i}", box=[length, 0.9, thickness], xyz=[x, y, z], rpy_deg=tilt, **ramp))
     return World(

@@ -6,6 +6,8 @@ debris; five shallow pools of 0.8 m diameter, one of them under the landing (S0-
 Everything but the debris and the crates is where it is; those two are drawn from the seed and keep clear of `FREE_WAY`.
 """
 
+from typing import Any
+
 import numpy as np
 
 from . import surfaces
@@ -63,7 +65,7 @@ def build(seed: int = 0) -> World:
 
 def _shell() -> list[Solid]:
     floor = Solid(name="floor", box=[20.4, 14.4, 0.2], xyz=[0, 0, -0.1], surface="floor", rgb=[0.5, 0.5, 0.48])
-    wall = {"surface": "wall", "rgb": CONCRETE_RGB}
+    wall: dict[str, Any] = {"surface": "wall", "rgb": CONCRETE_RGB}
     walls = [
         Solid(name="wall_north", box=[20.4, 0.2, 4.0], xyz=[0, 7.1, 2.0], **wall),
         Solid(name="wall_south", box=[20.4, 0.2, 4.0], xyz=[0, -7.1, 2.0], **wall),
@@ -81,7 +83,7 @@ def _shell() -> list[Solid]:
 
 def _stair() -> list[Solid]:
     """Six steps up to the landing from either side along x; treads and risers are plates, so there is room below."""
-    look = {"surface": "stair", "rgb": STEEL_RGB}
+    look: dict[str, Any] = {"surface": "stair", "rgb": STEEL_RGB}
     height = STEPS * RISE
     solids = [
         Solid(name="landing", box=[LANDING, STAIR_WIDTH, 0.05], xyz=[LANDING_X, STAIR_Y, height - 0.025], **look),
@@ -121,7 +123,7 @@ def _stair() -> list[Solid]:
 
 
 def _pipes() -> list[Solid]:
-    cold = {"surface": "steel", "rgb": STEEL_RGB}
+    cold: dict[str, Any] = {"surface": "steel", "rgb": STEEL_RGB}
     return [
         Solid(name="pipe_north_1", cylinder=[0.12, 6.0], xyz=[-6.5, 6.75, 1.0], rpy_deg=[0, 90, 0], **cold),
         Solid(name="pipe_north_2", cylinder=[0.12, 6.0], xyz=[2.5, 6.75, 1.0], rpy_deg=[0, 90, 0], **cold),
@@ -145,7 +147,7 @@ def _pipes() -> list[Solid]:
 
 
 def _pools() -> list[Solid]:
-    look = {"surface": "water", "rgb": [0.15, 0.35, 0.6], "collides": False}
+    look: dict[str, Any] = {"surface": "water", "rgb": [0.15, 0.35, 0.6], "collides": False}
     return [Solid(name=name, cylinder=[POOL_RADIUS, 0.01], xyz=[x, y, 0.0], **look) for name, (x, y) in POOLS.items()]
 
 
@@ -174,7 +176,7 @@ def _crates(rng: np.random.Generator) -> list[Solid]:
     solids = []
     for i, (x, y) in enumerate(_spread(rng, 12, 1.1), 1):
         size = rng.uniform([0.4, 0.4, 0.3], [0.8, 0.8, 1.1])
-        look = {"surface": "crate", "rgb": [0.6, 0.42, 0.22]}
+        look: dict[str, Any] = {"surface": "crate", "rgb": [0.6, 0.42, 0.22]}
         yaw = [0.0, 0.0, float(rng.uniform(0, 90))]
         solids.append(Solid(name=f"crate_{i}", box=size.tolist(), xyz=[x, y, size[2] / 2], rpy_deg=yaw, **look))
     return solids
@@ -185,7 +187,7 @@ def _debris(rng: np.random.Generator) -> list[Solid]:
     for i, (x, y) in enumerate(_spread(rng, 45, 0.9), 1):
         size = rng.uniform(0.05, 0.35, 3)
         tilt = [*rng.uniform(-25, 25, 2), rng.uniform(0, 180)]
-        look = {"surface": "debris", "rgb": [0.45, 0.43, 0.42]}
+        look: dict[str, Any] = {"surface": "debris", "rgb": [0.45, 0.43, 0.42]}
         solids.append(
             Solid(
                 name=f"debris_{i}",

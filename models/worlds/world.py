@@ -47,7 +47,7 @@ class Solid:
         raise WorldError("no single shape", key=f"solid '{self.name}'", value=given or None, valid=valid)
 
     def X_WG(self) -> RigidTransform:
-        return RigidTransform(RollPitchYaw(np.deg2rad(self.rpy_deg)), self.xyz)
+        return RigidTransform(RollPitchYaw(np.deg2rad(self.rpy_deg)), np.array(self.xyz))
 
 
 @dataclass(kw_only=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
 from pydrake.perception import BaseField, Fields
 from pydrake.perception import PointCloud as DrakePointCloud
@@ -62,8 +62,8 @@ class KeyframeDisplay(LeafSystem):
         check_config(config, key="display")
         self._config = config
         self._meshcat = meshcat
-        self.DeclareAbstractInputPort("keyframe", Value[object](None))
-        self._drawn = self.DeclareDiscreteState(np.array([-1.0]))
+        self.DeclareAbstractInputPort("keyframe", AbstractValue.Make(object()))
+        self._drawn = int(self.DeclareDiscreteState(np.array([-1.0])))
         self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._Draw)
 
     def _Draw(self, context: Context, discrete_state: DiscreteValues) -> None:

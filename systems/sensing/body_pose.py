@@ -6,7 +6,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem
 
-from ..ports import weak_method
+from ..ports import eval_typed, weak_method
 
 
 class BodyPose(LeafSystem):
@@ -37,4 +37,4 @@ class BodyPose(LeafSystem):
         return BodyPose(plant.GetBodyByName(body, plant.GetModelInstanceByName(model)).index())
 
     def _CalcPose(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self.GetInputPort("body_poses").Eval(context)[self._index])
+        output.set_value(eval_typed(self, context, "body_poses", list)[self._index])

@@ -2,17 +2,17 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialVelocity
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ..config import check_config, quantity
 from ..errors import ConfigError
+from ..noise import generator_at
 from ..ports import eval_typed
 
 
@@ -136,7 +136,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 # Layout of the discrete state.
 _GYRO, _FORCE, _QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
-_GYRO_BIAS, _FORCE_BIAS, _SAMPLES = slice(10, 13), slice(13, 16), 16
+_GYRO_BIAS, _FORCE_BIAS, _SAMPLES, _ALIGNED = slice(10, 13), slice(13, 16), 16, 17
 
 
 class Imu(LeafSystem):
@@ -163,8 +163,9 @@ class Imu(LeafSystem):
     from `initial_yaw` and drifts with their bias.
 
     All three are sampled every period from t = 0 on and held between. The first sample aligns roll and pitch with the
-    measured specific force, so a run should start at rest. Before it, gyro and accelerometer are zero and `rpy` is
-    (0, 0, initial_yaw).
+    measured specific force, so a run should start at rest; a robot that is still settling, whose specific force is more
+    than a tenth from gravity, is aligned at its first sample at rest. Before the first sample, gyro and accelerometer
+    are zero and `rpy` is (0, 0, initial_yaw).
 
     Args:
         config: noise and filter.
@@ -205,18 +206,18 @@ class Imu(LeafSystem):
         names = ("body_poses", "body_spatial_velocities", "body_spatial_accelerations")
         for name, entry in zip(names, types, strict=True):
             self.DeclareAbstractInputPort(name, AbstractValue.Make([entry()]))
-        rng = np.random.default_rng(seed)
-        start = np.zeros(17)
+        self._seed = seed
+        rng = generator_at(seed, 0)
+        start = np.zeros(18)
         start[_QUATERNION] = rotate(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, initial_yaw]))
         start[_GYRO_BIAS] = config.gyro_bias * rng.standard_normal(3)
         start[_FORCE_BIAS] = config.accelerometer_bias * rng.standard_normal(3)
         self.DeclareDiscreteState(start)
-        self._rng = self.DeclareAbstractState(AbstractValue.Make(rng))
         ticket = {self.xd_ticket()}
         self.DeclareVectorOutputPort("gyro", 3, self._CalcGyro, ticket)
         self.DeclareVectorOutputPort("accelerometer", 3, self._CalcAccelerometer, ticket)
         self.DeclareVectorOutputPort("rpy", 3, self._CalcRpy, ticket)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._Sample)
+        self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._Sample)
 
     def _CalcGyro(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state_vector().value()[_GYRO])
@@ -227,7 +228,7 @@ class Imu(LeafSystem):
     def _CalcRpy(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(roll_pitch_yaw(context.get_discrete_state_vector().value()[_QUATERNION]))
 
-    def _Sample(self, context: Context, state: State) -> None:
+    def _Sample(self, context: Context, discrete_state: DiscreteValues) -> None:
         config = self.config
         X_WB = eval_typed(self, context, "body_poses", list)[self._body]
         V_WB = eval_typed(self, context, "body_spatial_velocities", list)[self._body]
@@ -236,18 +237,18 @@ class Imu(LeafSystem):
         R_WI = R_WB @ self._R_BI
         a_WI_W = A_WB.Shift(R_WB @ self._p_BI, V_WB.rotational()).translational()
 
-        held: Any = state.get_mutable_abstract_state(int(self._rng))
-        noise = held.get_mutable_value().standard_normal((3, 3))
-        values = state.get_mutable_discrete_state(0)
-        x = values.value().copy()
+        x = context.get_discrete_state_vector().value().copy()
+        noise = generator_at(self._seed, int(x[_SAMPLES]) + 1).standard_normal((3, 3))
         w_before = x[_GYRO].copy()
         per_root_hertz = config.period**-0.5
         x[_GYRO_BIAS] += config.gyro_bias_walk * config.period**0.5 * noise[0]
         x[_GYRO] = R_WI.T @ V_WB.rotational() + x[_GYRO_BIAS] + config.gyro_noise_density * per_root_hertz * noise[1]
         x[_FORCE] = specific_force(R_WI, a_WI_W, self._gravity_W) + x[_FORCE_BIAS]
         x[_FORCE] += config.accelerometer_noise_density * per_root_hertz * noise[2]
-        if x[_SAMPLES] == 0:
+        weightless = abs(np.linalg.norm(x[_FORCE]) + self._gravity_W[2]) > 0.1 * -self._gravity_W[2]
+        if not x[_ALIGNED] and not weightless:
             x[_QUATERNION] = align(x[_FORCE], self._initial_yaw)
+            x[_ALIGNED] = 1
         else:
             x[_QUATERNION] = mahony_step(
                 x[_QUATERNION],
@@ -260,4 +261,4 @@ class Imu(LeafSystem):
                 gravity=-self._gravity_W[2],
             )
         x[_SAMPLES] += 1
-        values.SetFromVector(x)
+        discrete_state.set_value(x)

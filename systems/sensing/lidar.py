@@ -1,6 +1,5 @@
 """Simulated spinning LiDAR on SceneGraph geometry."""
 
-import copy
 import dataclasses
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from ..config import check_config, quantity
+from ..noise import generator_at
 from ..ports import eval_typed, weak_method
 from .deskew import interpolate_pose
 from .ray_scene import RayScene
@@ -178,14 +178,12 @@ def make_cloud(pattern: ScanPattern, returns: Returns) -> o3d.t.geometry.PointCl
 class _SweepState:
     """What the LiDAR remembers between scans."""
 
-    rng: np.random.Generator
     scan: Scan
     time: float | None = None
     X_WS: np.ndarray | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "_SweepState":
-        # Scans are read-only and so shared; Drake copies the state before every update.
-        return dataclasses.replace(self, rng=copy.deepcopy(self.rng, memo))
+        return dataclasses.replace(self)  # the scan is read-only and so shared
 
 
 class Lidar(LeafSystem):
@@ -245,6 +243,7 @@ class Lidar(LeafSystem):
         self.config = config
         self.pattern = configured_pattern(config)
         self._scene = scene
+        self._seed = seed
         self._parent_frame = parent_frame
         self._X_PS = X_PS
         rigid = {parent_frame: RigidTransform(), **(rigid_frames or {})}
@@ -255,9 +254,7 @@ class Lidar(LeafSystem):
 
         self.DeclareAbstractInputPort("geometry_query", AbstractValue.Make(QueryObject()))
         nothing = Scan(make_cloud(self.pattern, Returns(np.zeros(0, int), *np.zeros((2, 0), np.float32))), 0.0, 0.0, -1)
-        self._state = self.DeclareAbstractState(
-            AbstractValue.Make(_SweepState(rng=np.random.default_rng(seed), scan=nothing))
-        )
+        self._state = self.DeclareAbstractState(AbstractValue.Make(_SweepState(scan=nothing)))
         self.DeclareAbstractOutputPort(
             "scan_S",
             lambda: AbstractValue.Make(nothing),
@@ -281,7 +278,7 @@ class Lidar(LeafSystem):
             returns = simulate_returns(
                 *sweep_rays(self.pattern, sweep.X_WS, X_WS),
                 self._scene,
-                sweep.rng,
+                generator_at(self._seed, sweep.scan.index + 1),
                 config=self.config,
                 pattern=self.pattern,
                 X_WF={frame: query.GetPoseInWorld(frame) for frame in self._moving_frames},

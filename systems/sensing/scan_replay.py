@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -116,7 +117,8 @@ class ScanReplay(LeafSystem):
 
     @staticmethod
     def _replay(context: Context) -> _Replay:
-        return context.get_abstract_state(0).get_value()
+        held: Any = context.get_abstract_state(0)
+        return held.get_value()
 
     def _CalcScan(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._replay(context).scan)

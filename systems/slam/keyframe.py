@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 
@@ -34,10 +33,13 @@ class Keyframe:
     @property
     def p_BP(self) -> np.ndarray:
         """Points in B, (N, 3) float32 [m]."""
+        if "positions" not in self.cloud_B.point:
+            return np.zeros((0, 3), np.float32)
         return self.cloud_B.point.positions.numpy()
 
 
-NO_KEYFRAME = Keyframe(-1, 0.0, RigidTransform(), None, PointCloud(o3d.core.Tensor(np.zeros((0, 3), np.float32))), 0.0)
+# Its cloud has no tensor at all: one that lived until the interpreter ends would make Open3D warn of a leak.
+NO_KEYFRAME = Keyframe(-1, 0.0, RigidTransform(), None, PointCloud(), 0.0)
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,6 @@ class KanayamaTracking(LeafSystem):
 
     def _CalcTwistCommand(self, context: Context, output: BasicVector) -> None:
         pose = planar_pose(eval_typed(self, context, "X_MB", RigidTransform))
-        v_r, omega_r = self.GetInputPort("reference_twist").Eval(context)
-        error = pose_error(pose, self.GetInputPort("reference_pose").Eval(context))
+        v_r, omega_r = eval_typed(self, context, "reference_twist", np.ndarray)
+        error = pose_error(pose, eval_typed(self, context, "reference_pose", np.ndarray))
         output.SetFromVector(kanayama_law(error, v_r, omega_r, self._config))

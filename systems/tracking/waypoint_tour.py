@@ -103,11 +103,11 @@ class WaypointTour(LeafSystem):
         self._goals = np.array([w.xy for w in config.waypoints])
         self.DeclareAbstractInputPort("X_MB", AbstractValue.Make(RigidTransform()))
         # Index of the waypoint, phase, and where the leg started (x, y).
-        self._state = self.DeclareDiscreteState(np.array([0.0, TURN, np.nan, np.nan]))
+        self._state = int(self.DeclareDiscreteState(np.array([0.0, TURN, np.nan, np.nan])))
         self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._Update)
         self.DeclareVectorOutputPort("reference_pose", 3, self._CalcReferencePose)
         self.DeclareVectorOutputPort("reference_twist", 2, self._CalcReferenceTwist)
-        by_state = {self.discrete_state_ticket(self._state)}
+        by_state = {self.xd_ticket()}
         self.DeclareAbstractOutputPort(
             "flipper_preset", lambda: Value[str](), weak_method(self._CalcFlipperPreset), by_state
         )
@@ -163,7 +163,7 @@ class WaypointTour(LeafSystem):
                 self._config.turn_rate,
             )
             omega_r = float(np.copysign(rate, turn))
-        output.SetFromVector([v_r, omega_r])
+        output.SetFromVector(np.array([v_r, omega_r]))
 
     def _CalcFlipperPreset(self, context: Context, output: AbstractValue) -> None:
         index, phase, _, _ = self._unpack(context)

@@ -24,7 +24,7 @@ def run_station(config, seed, seconds, twist=(0.3, 0.0)):
 
 
 def hall(**changes):
-    return StationConfig(robot=RobotConfig(start_xyz=[-8.0, -5.0, 0.085], **changes))
+    return StationConfig(robot=RobotConfig(start_xyz=[-8.0, -5.0, 0.08], **changes))
 
 
 def test_the_robot_drives_and_scans_the_hall():

@@ -16,6 +16,7 @@ from naraha.systems.sensing.imu import (
     rotation_increment,
     specific_force,
 )
+from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.math import SpatialAcceleration, SpatialVelocity
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -318,3 +319,19 @@ def test_configuration_out_of_range_is_refused():
 def test_missing_connection_is_named():
     with pytest.raises(PortError, match=r"Imu\.body_poses"):
         Simulator(Imu(ImuConfig(), body_index=BodyIndex(1))).AdvanceTo(0.1)
+
+
+def test_a_robot_that_is_dropped_is_aligned_when_it_has_settled():
+    imu = Imu(ImuConfig(gyro_bias=0.0, accelerometer_bias=0.0), body_index=BodyIndex(0), seed=1)
+    context = imu.CreateDefaultContext()
+    X_WB = RigidTransform(RollPitchYaw(0.1, -0.2, 0.0), [0, 0, 0])
+    imu.GetInputPort("body_poses").FixValue(context, AbstractValue.Make([X_WB]))
+    imu.GetInputPort("body_spatial_velocities").FixValue(context, AbstractValue.Make([SpatialVelocity.Zero()]))
+    accelerations = imu.GetInputPort("body_spatial_accelerations")
+    simulator = Simulator(imu, context)
+    accelerations.FixValue(context, AbstractValue.Make([SpatialAcceleration([0, 0, 0], [0, 0, -9.81])]))
+    simulator.AdvanceTo(0.055)
+    np.testing.assert_allclose(imu.GetOutputPort("rpy").Eval(context), 0, atol=1e-3)
+    accelerations.FixValue(context, AbstractValue.Make([SpatialAcceleration.Zero()]))
+    simulator.AdvanceTo(0.065)
+    np.testing.assert_allclose(imu.GetOutputPort("rpy").Eval(context), [0.1, -0.2, 0], atol=5e-3)

@@ -1,0 +1,99 @@
+"""The survey map: every keyframe at its pose, in one voxel cloud."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from open3d.t.geometry import PointCloud
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from ..config import check_config, quantity
+from ..ports import eval_typed, weak_method
+from .keyframe import Keyframe
+from .voxel_cloud import VoxelCloud
+
+
+@dataclass(kw_only=True)
+class SurveyMapConfig:
+    """How the survey map is kept."""
+
+    # [m] Edge length of a voxel; S0-h plans on 0.1 m.
+    voxel_size: float = quantity(0.1, unit="m", above=0)
+    # [s] Interval at which a new keyframe is looked for; that of the scan matcher or shorter, or keyframes are missed.
+    period: float = quantity(0.1, unit="s", above=0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """Abstract state; read-only, so that Drake may share it instead of copying it at every update."""
+
+    voxels: VoxelCloud
+    keyframes: tuple[Keyframe, ...] = ()
+
+    def __deepcopy__(self, memo: dict) -> "_Map":
+        return self
+
+
+class SurveyMap(LeafSystem):
+    """
+    .. pydrake_system::
+
+        name: SurveyMap
+        input_ports:
+        - keyframe
+        output_ports:
+        - map_M
+        - keyframes
+
+    Adds every new `keyframe` (`Keyframe`), once for each index, at its X_MB to a grid of voxels. `map_M` is the cloud
+    of their mean positions in the map frame M [m], with the mean of every attribute and the `count` of keyframe
+    points (`open3d.t.geometry.PointCloud`, see `VoxelCloud`); it is put together only when it is asked for.
+    `keyframes` (tuple of `Keyframe`) is what it was made of, in the order of arrival.
+
+    A keyframe arrives one period after the scan matcher made it, because both update at the same instants.
+
+    Raises:
+        ConfigError: a value of the configuration is out of range.
+        PortError: the input is not connected or of another type.
+    """
+
+    def __init__(self, config: SurveyMapConfig | None = None):
+        super().__init__()
+        config = config or SurveyMapConfig()
+        check_config(config)
+        self.DeclareAbstractInputPort("keyframe", AbstractValue.Make(object()))
+        start = _Map(VoxelCloud(config.voxel_size))
+        ticket = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._AddKeyframe)
+        self.DeclareAbstractOutputPort(
+            "map_M", lambda: AbstractValue.Make(_no_points()), weak_method(self._CalcMap), {ticket}
+        )
+        self.DeclareAbstractOutputPort(
+            "keyframes", lambda: AbstractValue.Make(()), weak_method(self._CalcKeyframes), {ticket}
+        )
+
+    def _AddKeyframe(self, context: Context, state: State) -> EventStatus:
+        keyframe = eval_typed(self, context, "keyframe", Keyframe)
+        known = self._map(context)
+        if keyframe.index < 0 or (known.keyframes and keyframe.index <= known.keyframes[-1].index):
+            return EventStatus.DidNothing()
+        voxels = known.voxels.insert(keyframe.cloud_B, keyframe.X_MB.GetAsMatrix4())
+        state.get_mutable_abstract_state(0).set_value(_Map(voxels, (*known.keyframes, keyframe)))
+        return EventStatus.Succeeded()
+
+    @staticmethod
+    def _map(context: Context) -> _Map:
+        held: Any = context.get_abstract_state(0)
+        return held.get_value()
+
+    def _CalcMap(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._map(context).voxels.to_cloud())
+
+    def _CalcKeyframes(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._map(context).keyframes)
+
+
+def _no_points() -> PointCloud:
+    return PointCloud(o3d.core.Tensor(np.zeros((0, 3), np.float32)))
