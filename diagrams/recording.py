@@ -24,8 +24,8 @@ class RecordingConfig:
     """What is recorded."""
 
     # Where the camera is and what it looks at, in W [m].
-    camera: list[float] = quantity([-9.0, -13.0, 12.0], unit="m")
-    target: list[float] = quantity([0.0, -0.5, 0.0], unit="m")
+    camera: list[float] = quantity([-5.0, -10.5, 10.5], unit="m")
+    target: list[float] = quantity([-0.3, -0.8, 0.0], unit="m")
 
 
 def start_meshcat(config: RecordingConfig, *, live: bool) -> Meshcat:
@@ -39,6 +39,8 @@ def start_meshcat(config: RecordingConfig, *, live: bool) -> Meshcat:
     meshcat.SetProperty("/Background", "bottom_color", [0.75, 0.78, 0.82])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
+    for light, intensity in (("AmbientLight", 1.3), ("FillLight", 0.6), ("PointLightPositiveX", 0.0)):
+        meshcat.SetProperty(f"/Lights/{light}/<object>", "intensity", intensity)
     meshcat.SetCameraPose(np.array(config.camera), np.array(config.target))
     if live:
         print(f"Meshcat: {meshcat.web_url()}", flush=True)

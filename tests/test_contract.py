@@ -9,6 +9,7 @@ import naraha.systems
 import numpy as np
 import pytest
 import yaml
+from open3d.t.geometry import PointCloud
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
@@ -42,8 +43,8 @@ def fingerprint(value):
         return value.tobytes()
     if hasattr(value, "GetAsMatrix4"):
         return value.GetAsMatrix4().tobytes()
-    if hasattr(value, "point") and hasattr(value.point, "positions"):
-        return {name: value.point[name].numpy().tobytes() for name in sorted(dict(value.point))}
+    if isinstance(value, PointCloud):
+        return {name: tensor.numpy().tobytes() for name, tensor in value.point.items()}
     if isinstance(value, (tuple, list)):
         return [fingerprint(item) for item in value]
     if hasattr(value, "__dataclass_fields__"):

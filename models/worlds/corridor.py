@@ -18,7 +18,9 @@ def build(seed: int = 0) -> World:
     solids = [
         Solid(name="floor", box=[LENGTH, WIDTH, 0.2], xyz=[middle, 0, -0.1], surface="floor", rgb=[0.5, 0.5, 0.48]),
         Solid(name="wall_left", box=[LENGTH, 0.2, HEIGHT], xyz=[middle, WIDTH / 2 + 0.1, HEIGHT / 2], **look),
-        Solid(name="wall_right", box=[LENGTH, 0.2, HEIGHT], xyz=[middle, -WIDTH / 2 - 0.1, HEIGHT / 2], **look),
+        Solid(
+            name="wall_right", alpha=0.25, box=[LENGTH, 0.2, HEIGHT], xyz=[middle, -WIDTH / 2 - 0.1, HEIGHT / 2], **look
+        ),
         Solid(name="wall_near", box=[0.2, WIDTH + 0.4, HEIGHT], xyz=[-0.1, 0, HEIGHT / 2], **look),
         Solid(name="wall_far", box=[0.2, WIDTH + 0.4, HEIGHT], xyz=[LENGTH + 0.1, 0, HEIGHT / 2], **look),
     ]

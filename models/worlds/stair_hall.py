@@ -67,10 +67,10 @@ def _shell() -> list[Solid]:
     floor = Solid(name="floor", box=[20.4, 14.4, 0.2], xyz=[0, 0, -0.1], surface="floor", rgb=[0.5, 0.5, 0.48])
     wall: dict[str, Any] = {"surface": "wall", "rgb": CONCRETE_RGB}
     walls = [
-        Solid(name="wall_north", box=[20.4, 0.2, 4.0], xyz=[0, 7.1, 2.0], **wall),
-        Solid(name="wall_south", box=[20.4, 0.2, 4.0], xyz=[0, -7.1, 2.0], **wall),
-        Solid(name="wall_east", box=[0.2, 14.0, 4.0], xyz=[10.1, 0, 2.0], **wall),
-        Solid(name="wall_west", box=[0.2, 14.0, 4.0], xyz=[-10.1, 0, 2.0], **wall),
+        Solid(name="wall_north", alpha=0.25, box=[20.4, 0.2, 4.0], xyz=[0, 7.1, 2.0], **wall),
+        Solid(name="wall_south", alpha=0.25, box=[20.4, 0.2, 4.0], xyz=[0, -7.1, 2.0], **wall),
+        Solid(name="wall_east", alpha=0.25, box=[0.2, 14.0, 4.0], xyz=[10.1, 0, 2.0], **wall),
+        Solid(name="wall_west", alpha=0.25, box=[0.2, 14.0, 4.0], xyz=[-10.1, 0, 2.0], **wall),
         Solid(name="partition", box=[5.0, 0.15, 2.6], xyz=[0.8, -0.6, 1.3], **wall),
         Solid(name="buttress", box=[1.2, 0.6, 4.0], xyz=[-3.4, 6.7, 2.0], **wall),
     ]

@@ -29,6 +29,8 @@ class Solid:
     # Name of an entry of the world's `surfaces`.
     surface: str = ""
     rgb: list[float] = quantity([0.7, 0.7, 0.7], low=0, high=1)
+    # Opacity on the screen only; sensors see every solid as opaque.
+    alpha: float = quantity(1.0, low=0, high=1)
     # False for what a robot can enter, such as water.
     collides: bool = True
     # Coulomb friction, static and dynamic alike.
@@ -97,7 +99,7 @@ class World:
         body = plant.world_body()
         for solid in self.solids:
             X_WG, shape = solid.X_WG(), solid.shape()
-            plant.RegisterVisualGeometry(body, X_WG, shape, solid.name, np.array([*solid.rgb, 1.0]))
+            plant.RegisterVisualGeometry(body, X_WG, shape, solid.name, np.array([*solid.rgb, solid.alpha]))
             if solid.collides:
                 friction = CoulombFriction(solid.friction, solid.friction)
                 plant.RegisterCollisionGeometry(body, X_WG, shape, f"{solid.name}_collision", friction)

@@ -23,7 +23,7 @@ class KeyframeDisplayConfig:
     # At most this many points a keyframe are kept in the map that is drawn.
     points_per_keyframe: int = quantity(2500, low=1)
     # Edge length of a point [m].
-    point_size: float = quantity(0.03, unit="m", above=0)
+    point_size: float = quantity(0.04, unit="m", above=0)
     # Points higher than this over the floor are not drawn, so that one can look into a room [m].
     max_height: float = quantity(2.2, unit="m")
 

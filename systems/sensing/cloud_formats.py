@@ -5,8 +5,8 @@ of an ASCII PCD as 0. Each function here takes a path and returns `{field: (N,) 
 together raises `ValueError` with the reason, to which `scan_files` adds the name of the file.
 """
 
+import io
 import math
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,10 +159,11 @@ def read_kitti(path: Path) -> Columns:
 
 def read_npz(path: Path) -> Columns:
     """Points under `xyz`, `points` or `positions`, (N, 3), and every numeric array that has one row a point."""
+    data = path.read_bytes()
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
+    except Exception as error:  # a damaged archive raises almost anything: zlib.error, KeyError, MemoryError, ...
         raise ValueError(f"not a readable .npz file ({error})") from None
     key = next((name for name in ("xyz", "points", "positions") if name in arrays), None)
     if key is None:

@@ -72,7 +72,7 @@ def read_scan(path: str | os.PathLike[str]) -> PointCloud:
     except OSError as error:
         raise ScanFileError(f"cannot be read ({error.strerror or error})", where=path) from None
     except ValueError as error:
-        raise ScanFileError(str(error), where=path) from None
+        raise ScanFileError(" ".join(str(error).split()), where=path) from None
 
 
 def _make_cloud(columns: Columns) -> PointCloud:

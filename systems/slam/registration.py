@@ -43,8 +43,9 @@ class RegistrationConfig:
     min_fitness: float = quantity(0.5, unit="-", low=0, high=1)
     # [points] Smallest number of points in either cloud, and of inliers.
     min_points: int = quantity(100, unit="points", low=6)
-    # [-] Smallest part of any small motion that the surfaces must feel, see `constraint`.
-    min_constraint: float = quantity(0.01, unit="-", low=0, high=1)
+    # [-] Smallest part of any small motion that the surfaces must feel, see `constraint`. A VLP-16 in a hall of
+    # 20 m has 0.02 to 0.03, because few of its rays meet the floor.
+    min_constraint: float = quantity(0.003, unit="-", low=0, high=1)
     # [m], [deg] Largest correction of the guess; more is taken for a wrong match.
     max_correction: float = quantity(2.0, unit="m", above=0)
     max_correction_deg: float = quantity(60.0, unit="deg", above=0, high=180)

@@ -114,7 +114,8 @@ class ScanMatcher(LeafSystem):
         track, history = matcher.track, matcher.history
         span = None
         if self._with_odometry:
-            X_OB = eval_typed(self, context, "X_OB", RigidTransform)
+            # A copy: what the port gives is a reference to its cache, which will hold the next pose.
+            X_OB = RigidTransform(eval_typed(self, context, "X_OB", RigidTransform))
             history = (*history, (context.get_time(), X_OB))[-_HISTORY:]
             if track.X_OB is None:
                 track = replace(track, X_OB=X_OB)

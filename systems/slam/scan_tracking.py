@@ -32,8 +32,13 @@ class ScanMatcherConfig:
     reference: str = quantity("local_map", choices=REFERENCES)
     # Where a scan is first looked for when there is no odometry: moved on at the last velocity, or where the last was.
     guess: str = quantity("constant_velocity", choices=GUESSES)
-    # [keyframes] How many make the local map.
+    # [keyframes] How many of the last make the local map.
     local_map_keyframes: int = quantity(10, unit="keyframes", low=1)
+    # [keyframes] How many of the others are added to it, oldest first among those about as near: where the robot has
+    # been before, scans are matched to what was mapped then, and drift ends.
+    revisited_keyframes: int = quantity(5, unit="keyframes", low=0)
+    # [m] Only those that were taken within this distance.
+    revisit_distance: float = quantity(4.0, unit="m", low=0)
     # [m] Grid of the local map.
     local_map_voxel: float = quantity(0.25, unit="m", above=0)
     # [m], [deg] Motion since the last scan of the local map from which on another is added to it. With odometry, scans
@@ -62,7 +67,8 @@ class Track:
         tried_at: pose at the last attempt to make a keyframe, in O with odometry, else in M.
         last_index: `Scan.index` last seen.
         keyframe: the latest one.
-        recent, target: keyframes of the local map, and that map in M, with normals.
+        mapped: keyframes that the local map is taken from.
+        target: the local map in M, with normals.
         failures: attempts that failed in a row.
     """
 
@@ -74,7 +80,7 @@ class Track:
     tried_at: RigidTransform = field(default_factory=RigidTransform)
     last_index: int = -1
     keyframe: Keyframe = NO_KEYFRAME
-    recent: tuple[Keyframe, ...] = ()
+    mapped: tuple[Keyframe, ...] = ()
     target: PointCloud | None = None
     failures: int = 0
     health: PoseHealth = PoseHealth(False, 0.0, "no scan yet", 0.0, 0, 0)
@@ -128,7 +134,7 @@ def track_scan(
     if track.failures < config.max_failures:
         return track
     # Lost: go on from where dead reckoning says, on a map of its own.
-    placed = _accept(replace(track, recent=()), scan, cloud_B, result, X_OB, config)
+    placed = _accept(replace(track, mapped=()), scan, cloud_B, result, X_OB, config)
     reason = f"{track.health.reason}; new local map by dead reckoning after {track.failures} failures"
     return replace(placed, health=replace(track.health, reason=reason))
 
@@ -150,6 +156,16 @@ def prepare_cloud(scan: Scan, X_BS: RigidTransform, X_BB0: RigidTransform, confi
     p_BP = transform_points(X_BS.GetAsMatrix4(), np.asarray(points, float))
     cloud.point.positions = o3d.core.Tensor(p_BP.astype(np.float32))
     return voxel_filter(cloud, config.keyframe_voxel)
+
+
+def choose_keyframes(mapped: tuple[Keyframe, ...], config: ScanMatcherConfig) -> tuple[Keyframe, ...]:
+    """The last keyframes, and before them the nearest of the others to the last one, see `ScanMatcherConfig`."""
+    recent, others = mapped[-config.local_map_keyframes :], mapped[: -config.local_map_keyframes]
+    here = mapped[-1].X_MB.translation()
+    distances = [float(np.linalg.norm(keyframe.X_MB.translation() - here)) for keyframe in others]
+    near = [i for i, distance in enumerate(distances) if distance <= config.revisit_distance]
+    near.sort(key=lambda i: (distances[i] // (0.25 * config.revisit_distance or 1.0), i))
+    return (*(others[i] for i in sorted(near[: config.revisited_keyframes])), *recent)
 
 
 def local_map(keyframes: tuple[Keyframe, ...], config: ScanMatcherConfig) -> PointCloud:
@@ -220,12 +236,11 @@ def _accept(
         health=health,
     )
     if config.reference == "previous_keyframe":
-        recent: tuple[Keyframe, ...] = (keyframe,)
-    elif not track.recent or _moved(track.recent[-1].X_MB, keyframe.X_MB, config):
-        recent = (*track.recent, keyframe)[-config.local_map_keyframes :]
-    else:
+        return replace(accepted, mapped=(keyframe,), target=local_map((keyframe,), config))
+    if track.mapped and not _moved(track.mapped[-1].X_MB, keyframe.X_MB, config):
         return accepted
-    return replace(accepted, recent=recent, target=local_map(recent, config))
+    mapped = (*track.mapped, keyframe)
+    return replace(accepted, mapped=mapped, target=local_map(choose_keyframes(mapped, config), config))
 
 
 def _skip(track: Track, reason: str) -> Track:
