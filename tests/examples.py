@@ -3,6 +3,7 @@
 `EXAMPLES[name](seed)` gives (root, system). A new system gets a line here, or the contract test fails.
 """
 
+import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -39,7 +40,8 @@ def in_survey(name: str, meshcat: bool = False) -> Example:
 
 
 def replay(seed: int) -> tuple[System, LeafSystem]:
-    folder = Path(tempfile.mkdtemp())
+    folder = Path(tempfile.gettempdir()) / f"naraha-replay-{os.getpid()}-{seed}"  # skipped scans are named in an output
+    folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(seed)
     for i in range(6):
         write_cloud(folder / f"{i}.ply", PointCloud(rng.uniform(-3, 3, (500, 3)).astype(np.float32)))

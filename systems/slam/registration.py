@@ -125,9 +125,11 @@ def constraint(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.
     corridor, or about the axis of a cylinder, it is 0; in a room the smallest is about 0.2.
 
     Returns:
-        λ in ascending order, (6,), and the motions as columns, (6, 6), scaled to vᵀMv = 1.
+        λ in ascending order, (6,), and the motions as columns, (6, 6), scaled to vᵀMv = 1. Turns are in units of 1/r,
+        r the root mean square distance of the points from c, and so of the size of the shifts.
     """
     lever = points - points.mean(axis=0)
+    lever /= max(np.sqrt((lever**2).sum(axis=1).mean()), 1e-12)
     count = max(len(points), 1)
     felt = np.hstack([np.cross(lever, normals), normals])
     cross = np.zeros((len(points), 3, 3))  # of d = -[lever]x ω + t
@@ -136,7 +138,7 @@ def constraint(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.
     moved = np.concatenate([cross - cross.transpose(0, 2, 1), np.broadcast_to(np.eye(3), cross.shape)], axis=2)
     moved = moved.reshape(-1, 6)
     M = moved.T @ moved / count
-    M += 1e-9 * np.trace(M) * np.eye(6)  # points on one line do not feel a turn about it
+    M += 1e-9 * np.eye(6)  # for points on one line, which a turn about it does not move
     values, motions = scipy.linalg.eigh(felt.T @ felt / count, M)
     return values, motions
 
@@ -207,18 +209,13 @@ def _judge(
     health = (
         fitness * float(np.clip(values[0] / (10 * config.min_constraint), 0, 1)) if config.min_constraint else fitness
     )
-    # Displacement that each component of a motion stands for, to name the largest.
-    spread = np.sqrt((p_TS - p_TS.mean(axis=0)).var(axis=0))
-    scale = np.array(
-        [np.hypot(spread[1], spread[2]), np.hypot(spread[0], spread[2]), np.hypot(spread[0], spread[1]), 1, 1, 1]
-    )
     correction = X_TS_guess.inverse() @ X_TS
     distance = float(np.linalg.norm(correction.translation()))
     angle = np.rad2deg(abs(correction.rotation().ToAngleAxis().angle()))
     if fitness < config.min_fitness:
         reason = f"too little overlap: fitness {fitness:.2f}, needs {config.min_fitness:g}"
     elif values[0] < config.min_constraint:
-        axis = _AXES[int(np.abs(motions[:, 0] * scale).argmax())]
+        axis = _AXES[int(np.abs(motions[:, 0]).argmax())]
         reason = f"the geometry does not hold {axis}: constraint {values[0]:.1g}, needs {config.min_constraint:g}"
     elif distance > config.max_correction or angle > config.max_correction_deg:
         reason = f"jump of {distance:.2f} m, {angle:.0f} deg from the guess"

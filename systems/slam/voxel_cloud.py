@@ -1,5 +1,6 @@
 """A point cloud that keeps one averaged point per voxel and grows without copying what it has."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -101,7 +102,8 @@ def _run_from_cloud(cloud: PointCloud, voxel: float, X: np.ndarray | None) -> _R
     for name in sorted(name for name, _ in cloud.point.items()):
         if name in RAY_ATTRIBUTES or name in ("positions", "count"):
             continue
-        values = cloud.point[name].numpy().reshape(len(points), -1).astype(float)
+        values = cloud.point[name].numpy().astype(float)
+        values = values.reshape(len(points), math.prod(values.shape[1:]))  # -1 fails without points
         known = weight * np.isfinite(values).all(axis=1, keepdims=True)
         columns += [known, np.where(known > 0, values, 0.0) * known]
         layers.append((name, values.shape[1]))
