@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Any, Literal
 
 from naraha.systems.errors import InputError, NarahaError
-from naraha.systems.sensing.atomic_files import replacing
+from naraha.systems.files import replacing
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from naraha.systems.config import quantity
-from naraha.systems.sensing.atomic_files import replacing
+from naraha.systems.files import replacing
 from pydrake.geometry import Meshcat, MeshcatParams, Rgba
 
 from .trajectory import Trajectory

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import PoseFileError
-from .atomic_files import replacing
+from ..files import replacing
 
 TUM = "TUM: time x y z qx qy qz qw"
 KITTI = "KITTI: the 12 numbers of a 3x4 matrix, row by row"

@@ -9,7 +9,7 @@ import open3d as o3d
 from open3d.t.geometry import PointCloud
 
 from ..errors import ScanFileError
-from .atomic_files import replacing
+from ..files import replacing
 from .cloud_formats import READERS, Columns
 
 SCAN_SUFFIXES = tuple(READERS)

@@ -15,6 +15,9 @@ from .voxel_cloud import transform_points, voxel_filter
 _icp = o3d.pipelines.registration
 METHODS = ("point_to_point", "point_to_plane", "generalized")
 KERNELS = ("none", "tukey", "geman_mcclure")
+# Neighbours make a plane if the variance across it is this small against the one along its narrower side, and that
+# against the one along its wider side is not as small as on a line.
+FLAT, LINE = 0.05, 0.05
 _AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 
 
@@ -160,15 +163,22 @@ def _with_normals(target: PointCloud, points: np.ndarray, radius: float) -> Any:
     if "normals" in target.point and len(target.point.normals) == len(points):
         legacy.normals = o3d.utility.Vector3dVector(target.point.normals.numpy().astype(float))
     else:
-        legacy.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius, 20))
+        legacy.normals = o3d.utility.Vector3dVector(estimate_normals(points, radius))
     return legacy
 
 
 def estimate_normals(points: np.ndarray, radius: float) -> np.ndarray:
-    """Unit normals (N, 3) of `points` (N, 3) from up to 20 neighbours within `radius` [m]; their sign is arbitrary."""
+    """Unit normals (N, 3) of `points` (N, 3) from up to 20 neighbours within `radius` [m]; their sign is arbitrary.
+
+    They are zero where the neighbours do not make a plane: at edges and corners, and on the single line that one ring
+    of a LiDAR leaves far away. Normals there point anywhere, and with the mean points of voxels at the foot of a wall
+    they bias point-to-plane ICP: in a corridor without a ceiling by 15 mm in height at every keyframe.
+    """
     legacy = _legacy(points)
-    legacy.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius, 20))
-    return np.asarray(legacy.normals)
+    legacy.estimate_covariances(o3d.geometry.KDTreeSearchParamHybrid(radius, 20))
+    spread, axes = np.linalg.eigh(np.asarray(legacy.covariances).reshape(-1, 3, 3))
+    planar = (spread[:, 0] < FLAT * spread[:, 1]) & (spread[:, 1] > LINE * spread[:, 2])
+    return np.where(planar[:, None], axes[:, :, 0], 0.0)
 
 
 def _align(source: Any, target: Any, X: np.ndarray, config: RegistrationConfig) -> Any:

@@ -59,10 +59,11 @@ class ScanMatcher(LeafSystem):
     - `keyframe` (`Keyframe`): the last registered scan; index -1 and an empty cloud before there is one.
     - `health` (`PoseHealth`): whether the last registration succeeded, when it was measured, and what was skipped.
 
-    The first usable scan is placed where the odometry says, from X_MB0 at the first update, and starts the map. A scan
-    with fewer than `registration.min_points` usable points, or whose registration fails or jumps, is counted
-    and skipped: the pose goes on with the odometry and `health` says why. After `max_failures` in a row a new
-    local map is started there. Scans with index -1, before the first revolution of a LiDAR, do not count.
+    The first usable scan is placed where the odometry says, from X_MB0 at the first update, and starts the map;
+    without odometry it is placed at X_MB0 and stays as skewed as it was. A scan with fewer than
+    `registration.min_points` usable points, or whose registration fails or jumps, is counted and skipped: the pose
+    goes on with the odometry and `health` says why. After `max_failures` in a row a new local map is started there.
+    Scans with index -1, before the first revolution of a LiDAR, do not count.
 
     Raises:
         ConfigError: a value of the configuration is out of range.

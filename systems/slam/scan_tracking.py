@@ -182,8 +182,8 @@ def local_map(keyframes: tuple[Keyframe, ...], config: ScanMatcherConfig) -> Poi
 
 def _usable(points: np.ndarray, config: ScanMatcherConfig) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
-        ranges = np.sqrt((points.astype(float) ** 2).sum(axis=1))
-        return (ranges >= config.min_range) & (ranges <= config.max_range)  # False for NaN
+        squares = np.einsum("ij,ij->i", points, points)
+        return (squares >= config.min_range**2) & (squares <= config.max_range**2)  # False for NaN
 
 
 def _predicted_step(track: Track, time: float) -> RigidTransform:

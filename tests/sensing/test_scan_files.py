@@ -3,6 +3,7 @@
 import os
 import re
 import struct
+from pathlib import Path
 
 import numpy as np
 import open3d as o3d
@@ -40,6 +41,17 @@ def write_big_endian_ply(path):
     rows["p"], rows["i"], rows["r"] = POINTS, INTENSITY[:, 0], RING[:, 0]
     path.write_bytes((header + "end_header\n").encode() + rows.tobytes())
 
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+RECORDED = {
+    "balm_hku/scans/000003.pcd": (16299, {"intensity"}),
+    "nebula/vlp16/1673400472138016708.pcd": (14831, {"intensity", "time_stamp", "channel"}),
+    "nebula/vlp16_scan_1.npz": (14845, {"intensity", "ring", "t"}),
+    "ouster_sdk/lb_n3_0.npz": (107647, {"reflectivity", "near_ir", "ring", "col_t"}),
+    "pcl_data/room_scan1.pcd": (112586, set()),
+    "terrain_plane_seg/tilted-steps.pcd": (181648, set()),
+    "small_gicp_pair/source.ply": (69792, {"scalar_intensity"}),
+}
 
 FORMATS = {
     "binary.ply": write_with_open3d,
@@ -99,6 +111,17 @@ def test_a_damaged_file_gives_a_finite_cloud_or_an_error(data, kind, at, tmp_pat
         return
     assert np.isfinite(cloud.point.positions.numpy()).all()
     assert len(cloud.point.positions) > 0
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_files_of_real_lidars_are_read_whole(name):
+    if not (DATA / name).is_file():
+        pytest.skip(f"the recorded scan is not there: {DATA / name}")
+    points, attributes = RECORDED[name]
+    cloud = read_scan(DATA / name)
+    assert len(cloud.point.positions) == points
+    assert attributes <= {key for key, _ in cloud.point.items()}
+    assert 1 < np.abs(cloud.point.positions.numpy()).max() < 500
 
 
 NOT_SCANS = {

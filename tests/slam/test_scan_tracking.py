@@ -230,12 +230,12 @@ def test_where_the_robot_was_before_old_keyframes_join_the_local_map():
     keyframes = tuple(replace(Track(X).keyframe, index=i, X_MB=X) for i, X in enumerate(X_WB))
     config = ScanMatcherConfig(local_map_keyframes=3, revisited_keyframes=4, revisit_distance=4.0)
     chosen = [keyframe.index for keyframe in choose_keyframes(keyframes, config)]
-    # Within a quarter of the distance there are 0 to 3, and the oldest of the others that is as near is 4.
+    # By quarters of the distance: 1 to 3 are nearer than 1 m, 0 and 4 nearer than 2 m, and 0 is older.
     assert chosen == [0, 1, 2, 3, 18, 19, 20]
     fewer = replace(config, revisited_keyframes=2)
-    assert [keyframe.index for keyframe in choose_keyframes(keyframes, fewer)] == [0, 1, 18, 19, 20]
-    # On the way out the ones just before the last are the near ones.
-    assert [keyframe.index for keyframe in choose_keyframes(keyframes[:20], fewer)] == [13, 14, 17, 18, 19]
+    assert [keyframe.index for keyframe in choose_keyframes(keyframes, fewer)] == [1, 2, 18, 19, 20]
+    # On the way out these are the ones before the last: 16 at 1.5 m, 14 and 15 nearer than 3 m.
+    assert [keyframe.index for keyframe in choose_keyframes(keyframes[:20], fewer)] == [14, 16, 17, 18, 19]
     alone = replace(config, revisited_keyframes=0)
     assert [keyframe.index for keyframe in choose_keyframes(keyframes, alone)] == [18, 19, 20]
     assert [keyframe.index for keyframe in choose_keyframes(keyframes[:1], config)] == [0]
