@@ -1,9 +1,10 @@
 """Where the robot is and what is around it: odometry, scan matching, the survey map, and how good they are."""
 
+from .constraint import constraint, undo_unheld_motion
 from .evaluation import map_error, rebuild_map, trajectory_error
 from .keyframe import Keyframe, PoseHealth
 from .odometry import Odometry6Dof, OdometryConfig, propagate, rotation
-from .registration import Registration, RegistrationConfig, constraint, estimate_normals, register
+from .registration import Registration, RegistrationConfig, estimate_normals, register
 from .scan_matcher import ScanMatcher
 from .scan_tracking import ScanMatcherConfig, Track, track_scan
 from .survey_map import SurveyMap, SurveyMapConfig
@@ -31,5 +32,6 @@ __all__ = [
     "rotation",
     "track_scan",
     "trajectory_error",
+    "undo_unheld_motion",
     "voxel_filter",
 ]

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import open3d as o3d
-import scipy.linalg
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from ..config import quantity
+from .constraint import AXES, constraint, undo_unheld_motion
 from .voxel_cloud import transform_points, voxel_filter
 
 _icp = o3d.pipelines.registration
@@ -18,7 +18,6 @@ KERNELS = ("none", "tukey", "geman_mcclure")
 # Neighbours make a plane if the variance across it is this small against the one along its narrower side, and that
 # against the one along its wider side is not as small as on a line.
 FLAT, LINE = 0.05, 0.05
-_AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 
 
 @dataclass(kw_only=True)
@@ -46,8 +45,8 @@ class RegistrationConfig:
     min_fitness: float = quantity(0.5, unit="-", low=0, high=1)
     # [points] Smallest number of points in either cloud, and of inliers.
     min_points: int = quantity(100, unit="points", low=6)
-    # [-] Smallest part of any small motion that the surfaces must feel, see `constraint`. A VLP-16 in a hall of
-    # 20 m has 0.02 to 0.03, because few of its rays meet the floor.
+    # [-] A motion of which the surfaces feel less than this part, see `constraint`, is taken from the guess. A VLP-16
+    # in a hall of 20 m has 0.02 to 0.04, because few of its rays meet the floor.
     min_constraint: float = quantity(0.003, unit="-", low=0, high=1)
     # [m], [deg] Largest correction of the guess; more is taken for a wrong match.
     max_correction: float = quantity(2.0, unit="m", above=0)
@@ -58,18 +57,22 @@ class RegistrationConfig:
     retry_fitness: float = quantity(0.85, unit="-", low=0, high=1)
 
 
+# With this much constraint in its weakest direction, the health of a registration is its fitness.
+GOOD_CONSTRAINT = 0.03
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """The result of `register`.
 
     Attributes:
         X_TS: pose of the source in the target; the guess when `valid` is False.
-        fitness: part of the (thinned) source points that are inliers, [0, 1].
-        inlier_rmse: root mean square distance of the inliers to their partners [m]; inf without inliers.
+        fitness: part of the (thinned) source points that are inliers, [0, 1]; 0 when it is not valid.
+        inlier_rmse: root mean square distance of the inliers to their partners [m]; inf when it is not valid.
         inliers: number of them.
-        health: [0, 1]; fitness times how well the geometry holds all six directions.
+        health: [0, 1]; fitness times how well the geometry holds the motion that it holds least.
         valid: whether `X_TS` may be used.
-        reason: why it is not valid or, when it is valid, "".
+        reason: why it is not valid, or which motions were taken from the guess; else "".
     """
 
     X_TS: RigidTransform
@@ -106,44 +109,19 @@ def register(
         p_SP = _finite_points(voxel_filter(PointCloud(o3d.core.Tensor(p_SP)), config.source_voxel))
         if len(p_SP) < config.min_points:
             return _rejected(X_TS_guess, f"source covers {len(p_SP)} voxels, needs {config.min_points}")
-    legacy_source = _legacy(p_SP)
-    legacy_target = _with_normals(target, p_TQ, config.normal_radius)
+    normals = _normals(target, p_TQ, config.normal_radius)
+    source_cloud, target_cloud = _legacy(p_SP), _legacy(p_TQ)
+    if config.method == "point_to_plane":
+        target_cloud.normals = o3d.utility.Vector3dVector(normals)
 
-    best = _align(legacy_source, legacy_target, X_TS_guess.GetAsMatrix4(), config)
+    best = _align(source_cloud, target_cloud, X_TS_guess.GetAsMatrix4(), config)
     if best.fitness < config.retry_fitness:
         for yaw in config.retry_yaws_deg:
             X_turned = X_TS_guess @ RigidTransform(RollPitchYaw(0, 0, np.deg2rad(yaw)), np.zeros(3))
-            again = _align(legacy_source, legacy_target, X_turned.GetAsMatrix4(), config)
+            again = _align(source_cloud, target_cloud, X_turned.GetAsMatrix4(), config)
             if again.fitness > best.fitness:
                 best = again
-    return _judge(best, p_SP, legacy_target, X_TS_guess, config)
-
-
-def constraint(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How firmly planes through `points` with unit `normals`, (N, 3) each, hold a rigid body.
-
-    A small motion v = [roll, pitch, yaw, x, y, z] about the centroid c moves point p by d = ω × (p − c) + t, and of
-    that, the planes feel n·d. The values λ solve H v = λ M v with vᵀHv = mean (n·d)² (the Hessian of point-to-plane
-    ICP) and vᵀMv = mean |d|²: λ is the part of the motion that is felt, in [0, 1], in no unit and for no scale. Along a
-    corridor, or about the axis of a cylinder, it is 0; in a room the smallest is about 0.2.
-
-    Returns:
-        λ in ascending order, (6,), and the motions as columns, (6, 6), scaled to vᵀMv = 1. Turns are in units of 1/r,
-        r the root mean square distance of the points from c, and so of the size of the shifts.
-    """
-    lever = points - points.mean(axis=0)
-    lever /= max(np.sqrt((lever**2).sum(axis=1).mean()), 1e-12)
-    count = max(len(points), 1)
-    felt = np.hstack([np.cross(lever, normals), normals])
-    cross = np.zeros((len(points), 3, 3))  # of d = -[lever]x ω + t
-    x, y, z = lever.T
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
-    moved = np.concatenate([cross - cross.transpose(0, 2, 1), np.broadcast_to(np.eye(3), cross.shape)], axis=2)
-    moved = moved.reshape(-1, 6)
-    M = moved.T @ moved / count
-    M += 1e-9 * np.eye(6)  # for points on one line, which a turn about it does not move
-    values, motions = scipy.linalg.eigh(felt.T @ felt / count, M)
-    return values, motions
+    return _judge(best, p_SP, normals, X_TS_guess, config)
 
 
 def _finite_points(cloud: PointCloud) -> np.ndarray:
@@ -158,13 +136,10 @@ def _legacy(points: np.ndarray) -> Any:
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(float)))
 
 
-def _with_normals(target: PointCloud, points: np.ndarray, radius: float) -> Any:
-    legacy = _legacy(points)
+def _normals(target: PointCloud, points: np.ndarray, radius: float) -> np.ndarray:
     if "normals" in target.point and len(target.point.normals) == len(points):
-        legacy.normals = o3d.utility.Vector3dVector(target.point.normals.numpy().astype(float))
-    else:
-        legacy.normals = o3d.utility.Vector3dVector(estimate_normals(points, radius))
-    return legacy
+        return target.point.normals.numpy().astype(float)
+    return estimate_normals(points, radius)
 
 
 def estimate_normals(points: np.ndarray, radius: float) -> np.ndarray:
@@ -204,34 +179,34 @@ def _estimation(config: RegistrationConfig, distance: float) -> Any:
 
 
 def _judge(
-    result: Any, p_SP: np.ndarray, target: Any, X_TS_guess: RigidTransform, config: RegistrationConfig
+    result: Any, p_SP: np.ndarray, normals: np.ndarray, X_TS_guess: RigidTransform, config: RegistrationConfig
 ) -> Registration:
-    pairs = np.asarray(result.correspondence_set)
-    X = np.array(result.transformation)
-    if len(pairs) < config.min_points or not np.isfinite(X).all():
-        return _rejected(X_TS_guess, f"no overlap: {len(pairs)} inliers, needs {config.min_points}")
-    X_TS = _rounded_pose(X)
+    """Decides whether the result of ICP is used, and takes from the guess what the geometry does not say."""
     # The set of pairs is always the same, its order is not.
+    pairs = np.asarray(result.correspondence_set).reshape(-1, 2)
     pairs = pairs[np.argsort(pairs[:, 0])]
+    surfaces = pairs[(normals[pairs[:, 1]] != 0).any(axis=1)]
+    if len(surfaces) < config.min_points or not np.isfinite(result.transformation).all():
+        return _rejected(X_TS_guess, f"no overlap: {len(surfaces)} points on surfaces, needs {config.min_points}")
     fitness, rmse = float(result.fitness), round(float(result.inlier_rmse), 9)
-    p_TS = transform_points(X_TS.GetAsMatrix4(), p_SP[pairs[:, 0]].astype(float))
-    values, motions = constraint(p_TS, np.asarray(target.normals)[pairs[:, 1]])
-    health = (
-        fitness * float(np.clip(values[0] / (10 * config.min_constraint), 0, 1)) if config.min_constraint else fitness
-    )
+    if fitness < config.min_fitness:
+        return _rejected(X_TS_guess, f"too little overlap: fitness {fitness:.2f}, needs {config.min_fitness:g}")
+    X_TS = _rounded_pose(result.transformation)
+    p_TS = transform_points(X_TS.GetAsMatrix4(), p_SP[surfaces[:, 0]].astype(float))
+    values, motions = constraint(p_TS, normals[surfaces[:, 1]])
+    held = values >= config.min_constraint
+    reason = ""
+    if not held.all():
+        free = sorted({AXES[int(np.abs(motions[:, i]).argmax())] for i in np.flatnonzero(~held)})
+        reason = f"the geometry does not hold {', '.join(free)}: taken from the guess"
+        X_TS = _rounded_pose(undo_unheld_motion(X_TS, X_TS_guess, p_TS, motions, held).GetAsMatrix4())
     correction = X_TS_guess.inverse() @ X_TS
     distance = float(np.linalg.norm(correction.translation()))
     angle = np.rad2deg(abs(correction.rotation().ToAngleAxis().angle()))
-    if fitness < config.min_fitness:
-        reason = f"too little overlap: fitness {fitness:.2f}, needs {config.min_fitness:g}"
-    elif values[0] < config.min_constraint:
-        axis = _AXES[int(np.abs(motions[:, 0]).argmax())]
-        reason = f"the geometry does not hold {axis}: constraint {values[0]:.1g}, needs {config.min_constraint:g}"
-    elif distance > config.max_correction or angle > config.max_correction_deg:
-        reason = f"jump of {distance:.2f} m, {angle:.0f} deg from the guess"
-    else:
-        return Registration(X_TS, fitness, rmse, len(pairs), health, True, "")
-    return Registration(X_TS_guess, fitness, rmse, len(pairs), 0.0, False, reason)
+    if distance > config.max_correction or angle > config.max_correction_deg:
+        return _rejected(X_TS_guess, f"jump of {distance:.2f} m, {angle:.0f} deg from the guess")
+    health = fitness * float(min(values[0] / GOOD_CONSTRAINT, 1.0))
+    return Registration(X_TS, fitness, rmse, len(pairs), max(health, 0.0), True, reason)
 
 
 def _rejected(X_TS: RigidTransform, reason: str) -> Registration:

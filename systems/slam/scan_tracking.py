@@ -219,7 +219,7 @@ def _accept(
     config: ScanMatcherConfig,
 ) -> Track:
     used = track.health.scans_used + 1
-    health = PoseHealth(True, result.health, "", scan.end_time, used, track.health.scans_skipped)
+    health = PoseHealth(True, result.health, result.reason, scan.end_time, used, track.health.scans_skipped)
     keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health)
     elapsed = scan.end_time - track.time
     measured_before = track.target is not None and track.failures == 0 and elapsed > 0

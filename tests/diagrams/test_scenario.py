@@ -75,7 +75,7 @@ def test_a_missing_scenario_names_the_shipped_ones():
         load_scenario(SurveyScenario, "nowhere")
 
 
-@pytest.mark.parametrize("name", [n for n in shipped_scenarios() if n != "recorded"])
+@pytest.mark.parametrize("name", [n for n in shipped_scenarios() if not n.startswith("recorded")])
 def test_a_resolved_scenario_loads_as_it_was_saved(name, tmp_path):
     scenario = load_scenario(SurveyScenario, name, seed=3)
     path = tmp_path / "resolved.yaml"
@@ -85,5 +85,6 @@ def test_a_resolved_scenario_loads_as_it_was_saved(name, tmp_path):
     assert again.seed == 3
 
 
-def test_the_recorded_scenario_is_a_map_scenario():
-    assert load_scenario(MapScenario, "recorded").description
+@pytest.mark.parametrize("name", [n for n in shipped_scenarios() if n.startswith("recorded")])
+def test_the_recorded_scenarios_are_map_scenarios(name):
+    assert load_scenario(MapScenario, name).description
