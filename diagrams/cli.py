@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from naraha.systems.errors import InputError, MissionError
+from naraha.systems.errors import InputError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -88,6 +88,3 @@ def main() -> None:
     except InputError as error:
         print(f"naraha: {error}", file=sys.stderr)
         sys.exit(2)
-    except MissionError as error:
-        print(f"naraha: {error}", file=sys.stderr)
-        sys.exit(1)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import resource
 import signal
 import sys
@@ -81,6 +82,9 @@ class Mission:
         self.name, self.scenario, self.options = name, scenario, options
         self.metrics: dict[str, Any] = {}
         self._wall_time, self._sim_time = 0.0, 0.0
+        existing = next(folder for folder in (options.out, *options.out.absolute().parents) if folder.exists())
+        if not existing.is_dir() or not os.access(existing, os.W_OK):
+            raise InputError("not a folder that can be written", where=f"--out {options.out}")
 
     def path(self, name: str) -> Path:
         """Path of a product in the mission's folder, which is made at the first call."""
@@ -135,8 +139,8 @@ class Mission:
                         ending = Ending("interrupted", f"interrupted after {context.get_time():.1f} s")
             except KeyboardInterrupt:
                 ending = Ending("interrupted", f"interrupted after {context.get_time():.1f} s")
-            except (NarahaError, RuntimeError, ValueError, ArithmeticError) as error:
-                ending = Ending("failed", f"after {context.get_time():.1f} s: {' '.join(str(error).split())}")
+            except Exception as error:  # whatever it is, what was measured is kept
+                ending = Ending("failed", f"after {context.get_time():.1f} s: {_in_words(error)}")
         self._wall_time, self._sim_time = time.perf_counter() - start, context.get_time()
         return ending or Ending("done", f"the time budget of {duration:g} s is over")
 
@@ -148,10 +152,10 @@ class Mission:
         for product in products:
             try:
                 product()
-            except (NarahaError, RuntimeError, ValueError, OSError) as error:
-                self.options.console.print(f"[yellow]{product.__name__}: {error}")
+            except Exception as error:  # the other products do not suffer
+                self.options.console.print(f"{product.__name__}: {error}", markup=False)
                 if ending.status != "failed":
-                    ending = Ending("failed", f"{product.__name__}: {' '.join(str(error).split())}")
+                    ending = Ending("failed", f"{product.__name__}: {_in_words(error)}")
         self.metrics = {
             "status": ending.status,
             "reason": ending.reason,
@@ -178,6 +182,11 @@ class Mission:
         console.print(table)
         console.print(f"{self.name}: {ending.status}: {ending.reason}", highlight=False, markup=False)
         console.print(f"everything is in {self.options.out}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _in_words(error: Exception) -> str:
+    kind = "" if isinstance(error, (NarahaError, RuntimeError, OSError)) else f"{type(error).__name__}: "
+    return kind + " ".join(str(error).split())
 
 
 def jsonable(value: Any) -> Any:

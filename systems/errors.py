@@ -49,7 +49,3 @@ class PoseFileError(InputError):
 
 class PortError(InputError):
     """A value of the wrong type arrived at an abstract port; `where` is system and port."""
-
-
-class MissionError(NarahaError):
-    """A mission could not be completed. The command line says why and exits with 1; measured data is kept."""

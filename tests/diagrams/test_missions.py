@@ -10,7 +10,6 @@ import time
 import numpy as np
 import open3d as o3d
 import pytest
-from naraha.diagrams.scenario import shipped_scenarios
 from naraha.systems.sensing import read_poses, read_scan, write_cloud
 
 SHORT_TOUR = "tour.waypoints=[{xy: [-7.2, -5.0]}]"
@@ -78,8 +77,8 @@ def test_a_resolved_scenario_repeats_the_run_and_another_seed_does_not(short_sur
     assert metrics_of(tmp_path / "other")["trajectory_error_mean_m"] != first["trajectory_error_mean_m"]
 
 
-@pytest.mark.parametrize("name", [n for n in shipped_scenarios() if n != "stair_hall" and not n.startswith("recorded")])
-def test_every_shipped_scenario_runs(name, tmp_path):
+@pytest.mark.parametrize("name", ["corridor", "rough"])
+def test_every_other_shipped_survey_runs(name, tmp_path):
     result = naraha("survey", name, "--out", tmp_path, "--set", "duration=4")
     assert result.returncode == 0, result.stderr
     assert metrics_of(tmp_path)["sim_time_s"] == 4
@@ -119,6 +118,7 @@ BAD_SURVEYS = {
     "no ground at the start": (["--set", "robot.start_xyz=[50, 0, 0.1]"], "no ground below the robot's start"),
     "unknown flipper preset": (["--set", "tour.waypoints=[{xy: [0, 0], flippers: up}]"], "flippers"),
     "negative seed": (["--seed", "-1"], "--seed"),
+    "output that is a file": (["--out", "bad.yaml"], "--out bad.yaml: not a folder"),
     "not YAML": (["bad.yaml"], "bad.yaml: not YAML"),
     "world without ground": (["--set", "world.name=floating.yaml"], "floating.yaml: the world has no ground"),
 }
@@ -131,7 +131,7 @@ def test_bad_input_is_one_line_exit_code_2_and_no_file(case, tmp_path):
     (tmp_path / "floating.yaml").write_text(
         "surfaces: {a: {label: wall}}\nsolids: [{name: slab, box: [9, 9, 1], surface: a}]"
     )
-    result = naraha("survey", *arguments, "--out", "result", cwd=tmp_path)
+    result = naraha("survey", "--out", "result", *arguments, cwd=tmp_path)
     assert result.returncode == 2
     assert message in result.stderr
     assert "Traceback" not in result.stderr
