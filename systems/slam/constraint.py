@@ -56,7 +56,7 @@ def undo_unheld_motion(
     unheld = motions @ np.where(held, 0.0, shares)
     R = RotationMatrix(Rotation.from_rotvec(-unheld[:3] / radius).as_matrix())
     # Turns back about the centre and shifts back.
-    return RigidTransform(R, centre - R.multiply(centre) - unheld[3:]) @ X_TS
+    return RigidTransform(R, centre - R.matrix() @ centre - unheld[3:]) @ X_TS
 
 
 def _size(points: np.ndarray) -> tuple[np.ndarray, float]:

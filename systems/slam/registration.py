@@ -147,7 +147,7 @@ def estimate_normals(points: np.ndarray, radius: float) -> np.ndarray:
 
     They are zero where the neighbours do not make a plane: at edges and corners, and on the single line that one ring
     of a LiDAR leaves far away. Normals there point anywhere, and with the mean points of voxels at the foot of a wall
-    they bias point-to-plane ICP: in a corridor without a ceiling by 15 mm in height at every keyframe.
+    they lift the robot where no ceiling holds it down.
     """
     legacy = _legacy(points)
     legacy.estimate_covariances(o3d.geometry.KDTreeSearchParamHybrid(radius, 20))

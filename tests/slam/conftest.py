@@ -46,6 +46,13 @@ def room_scan(rng, X_WS, count=6000):
     return X_WS.inverse().multiply(p_WP.T).T + rng.normal(0, NOISE, p_WP.shape)
 
 
+def corridor(rng, count, length=30.0):
+    """Points on floor, walls and ceiling of a square corridor along x, 2.4 m wide, without ends."""
+    x, u = rng.uniform(-length / 2, length / 2, count), rng.uniform(-1.2, 1.2, count)
+    side, sign = rng.integers(0, 2, count), rng.choice([-1.2, 1.2], count)
+    return np.stack([x, np.where(side, sign, u), np.where(side, u, sign)], axis=1)
+
+
 @pytest.fixture
 def balm():
     """177 scans of a hand-held LiDAR with the poses of a LiDAR-inertial odometry as truth."""
