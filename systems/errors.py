@@ -47,5 +47,9 @@ class PoseFileError(InputError):
     """A file of poses cannot be read or does not fit the scans."""
 
 
+class CameraError(InputError):
+    """An image, its intrinsics or its extrinsics are not usable or do not fit each other."""
+
+
 class PortError(InputError):
     """A value of the wrong type arrived at an abstract port; `where` is system and port."""

@@ -40,6 +40,8 @@ class Surface:
     emissivity: float = quantity(0.95, low=0.0, high=1.0)
     # Activity of a radioactive source behind this surface, of all of it together.
     activity: float = quantity(0.0, unit="MBq", low=0.0)
+    # Linear attenuation of gamma rays (662 keV) in the solid; concrete 17.8, steel 57, water 8.6, wood 5 per metre.
+    attenuation: float = quantity(17.8, unit="1/m", low=0.0)
 
 
 @dataclass(kw_only=True)
@@ -79,11 +81,11 @@ class SurfaceTable:
 class SurfaceArrays:
     """Properties of G geometries as arrays of G + 1 entries, to be indexed by an array of geometry indices.
 
-    The entry after the last is for index -1, a ray that hits nothing: reflectivity, reflectance, specular, emissivity
-    and activity are 0 there, temperature is NaN and `label_id` is -1.
+    The entry after the last is for index -1, a ray that hits nothing: reflectivity, reflectance, specular, emissivity,
+    activity and attenuation are 0 there, temperature is NaN and `label_id` is -1.
 
     Attributes:
-        lidar_reflectivity, nir_reflectance, specular, temperature, emissivity, activity: float32, as in `Surface`.
+        lidar_reflectivity, nir_reflectance, specular, temperature, emissivity, activity, attenuation: float32, as in `Surface`.
         label_id: int32, index into `labels`.
         labels: the different labels, sorted.
     """
@@ -94,6 +96,7 @@ class SurfaceArrays:
     temperature: np.ndarray
     emissivity: np.ndarray
     activity: np.ndarray
+    attenuation: np.ndarray
     label_id: np.ndarray
     labels: tuple[str, ...]
 
@@ -112,6 +115,7 @@ def surface_arrays(surfaces: list[Surface]) -> SurfaceArrays:
         temperature=column("temperature", np.nan),
         emissivity=column("emissivity"),
         activity=column("activity"),
+        attenuation=column("attenuation"),
         label_id=np.array([labels.index(surface.label) for surface in surfaces] + [-1], np.int32),
         labels=labels,
     )
