@@ -2,8 +2,10 @@
 
 The robot is the tracked crawler of S0-j and S2 (1.0 m long with the flippers out flat, 0.4 m wide, body 0.2 m high).
 Its links are `base` (origin between the track axles at axle height, x forward, y left, z up), `left_track`,
-`right_track`, four flippers `{front,rear}_{left,right}_flipper`, `lidar` and `imu`. Tracks and flippers are native
-tracks of Drake: links whose surface runs around +y with the speed on the plant's `surface_speeds` port, so that a
+`right_track`, four flippers `{front,rear}_{left,right}_flipper`, `lidar`, `imu` and `mast`, the head over the LiDAR.
+The head has frames for what it carries: `depth_camera` and `thermal_camera` (optical frames: x right, y down, z
+forward), `nir_mount` of the pan-tilt (x forward, y left, z up), `lamp` and `gamma_counter`. Tracks and flippers are
+native tracks of Drake: links whose surface runs around +y with the speed on the plant's `surface_speeds` port, so that a
 positive speed drives the robot forward. A flipper's angle is 0 when it lies flat and positive with its tip up.
 
 Contact geometry is spheres alone: they are the only shape whose contact on an edge Drake computes in closed form
@@ -21,7 +23,7 @@ import numpy as np
 from naraha.systems.config import check_config, quantity
 from naraha.systems.errors import ConfigError
 
-from .urdf_xml import Colour, add_collision, add_joint, add_link, add_visual, box, cylinder, numbers, sphere
+from .urdf_xml import Colour, add_collision, add_frame, add_joint, add_link, add_visual, box, cylinder, numbers, sphere
 
 _ORANGE: Colour = (0.93, 0.36, 0.03)
 _RUBBER: Colour = (0.085, 0.085, 0.095)
@@ -70,7 +72,14 @@ class CrawlerShape:
     # steepest stair that friction holds. Finer costs time: every sphere is moved in every step.
     outline_tilt: float = quantity(0.2, unit="rad", above=0.0, high=1.0)
 
-    # Masses add up to 29.9 kg: comparable are CSIRO's DTR (about 30 kg, body 16.2 kg) and Absolem (body 16.0 kg,
+    # [m] height of the cameras over the axles: 0.56 m over ground, so that a floor 5 m away is seen at 6 deg.
+    head_height: float = quantity(0.48, unit="m", above=0.0)
+    # [m] height of the near-infrared lamp over the axles; below the cameras, so that they see past its shadows.
+    lamp_height: float = quantity(0.36, unit="m", above=0.0)
+    # [rad] how far the depth camera and the pan-tilt look down.
+    head_pitch: float = quantity(math.radians(10.0), unit="rad")
+
+    # Masses add up to 30.9 kg: comparable are CSIRO's DTR (about 30 kg, body 16.2 kg) and Absolem (body 16.0 kg,
     # track 6.1 kg, flipper 0.75 kg), both from osrf/subt.
     # [kg] chassis with batteries, motors and computer.
     base_mass: float = quantity(16.0, unit="kg", above=0.0)
@@ -84,6 +93,8 @@ class CrawlerShape:
     lidar_mass: float = quantity(0.83, unit="kg", above=0.0)
     # [kg] IMU module.
     imu_mass: float = quantity(0.05, unit="kg", above=0.0)
+    # [kg] pole and head with cameras, pan-tilt, lamp and counter. Assumed.
+    mast_mass: float = quantity(1.0, unit="kg", above=0.0)
 
     # Friction of the belts, rubber with cleats. Drake combines two surfaces as 2 m n / (m + n), so that ground of 1.0
     # makes it 1.05: just over the tan(45 deg) of S2's steepest slope.
@@ -297,6 +308,30 @@ def _add_sensors(robot: ElementTree.Element, shape: CrawlerShape) -> None:
     add_joint(robot, "lidar_weld", "fixed", "lidar", (0, 0, shape.lidar_height))
     add_link(robot, "imu", shape.imu_mass, (0.04, 0.04, 0.02))
     add_joint(robot, "imu_weld", "fixed", "imu", (0, 0, 0))
+    _add_mast(robot, shape, shape.lidar_height + top)
+
+
+def _add_mast(robot: ElementTree.Element, shape: CrawlerShape, foot: float) -> None:
+    """The mast's origin is on the LiDAR's axis at the height of the cameras. It has no contact geometry."""
+    pole = shape.head_height - foot
+    mast = add_link(robot, "mast", shape.mast_mass, (0.05, 0.2, 0.1))
+    add_joint(robot, "mast_weld", "fixed", "mast", (0, 0, shape.head_height))
+    add_visual(mast, _DARK, (0, 0, -pole / 2), cylinder(0.015, pole))
+    add_visual(mast, _DARK, (0, 0, 0), box(0.05, 0.24, 0.05))
+    add_visual(mast, _STEEL, (0.03, 0, 0), box(0.02, 0.099, 0.023), (0, shape.head_pitch, 0))  # a D415
+    add_visual(mast, _ORANGE, (0.035, -0.09, 0), box(0.06, 0.045, 0.045), (0, shape.head_pitch, 0))
+    add_visual(mast, _STEEL, (0.03, 0.09, 0), box(0.02, 0.04, 0.04))
+    lamp_z = shape.lamp_height - shape.head_height
+    add_visual(mast, _LAMP, (0.03, 0, lamp_z), cylinder(0.02, 0.02), (0, math.pi / 2, 0))
+    add_visual(mast, _DARK, (-0.04, 0, 0), cylinder(0.02, 0.08))
+    down = (0.0, shape.head_pitch, 0.0)
+    optical = (-math.pi / 2, 0.0, -math.pi / 2)
+    optical_down = (-math.pi / 2 - shape.head_pitch, 0.0, -math.pi / 2)
+    add_frame(robot, "depth_camera", "mast", (0.04, 0, 0), optical_down)
+    add_frame(robot, "nir_mount", "mast", (0.04, -0.09, 0), down)
+    add_frame(robot, "thermal_camera", "mast", (0.04, 0.09, 0), optical)
+    add_frame(robot, "lamp", "mast", (0.04, 0, lamp_z), down)
+    add_frame(robot, "gamma_counter", "mast", (-0.04, 0, 0))
 
 
 if __name__ == "__main__":

@@ -34,6 +34,19 @@ def add_joint(
     return joint
 
 
+def add_frame(
+    robot: ElementTree.Element,
+    name: str,
+    link: str,
+    xyz: tuple[float, float, float],
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> None:
+    """Adds a frame fixed to a link; an extension of Drake's."""
+    # Angles with all digits: a camera frame must be a rotation by exactly a quarter turn.
+    angles = " ".join(f"{angle:.12g}" for angle in rpy)
+    ElementTree.SubElement(robot, "frame", name=name, link=link, xyz=numbers(*xyz), rpy=angles)
+
+
 def add_collision(
     link: ElementTree.Element, friction: float, xyz: tuple[float, float, float], shape: ElementTree.Element
 ) -> None:

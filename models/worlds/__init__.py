@@ -12,6 +12,7 @@ BUILDERS: dict[str, Callable[[int], World]] = {
     "corridor": corridor.build,
     "rough": rough.build,
     "stair_hall": stair_hall.build,
+    "stair_hall_later": stair_hall.build_later,
 }
 
 

@@ -2,10 +2,14 @@
 
 20 × 14 m with walls, pillars and a partition; a mock-up stair of six steps up to a landing and six down (S0-c: rise and
 run of the stair that the crawler climbs, 0.18 and 0.26 m); pipes along the walls, one section of them hot; crates and
-debris; five shallow pools of 0.8 m diameter, one of them under the landing (S0-c, S0-d); one radiation source.
-Everything but the debris and the crates is where it is; those two are drawn from the seed and keep clear of `FREE_WAY`.
+debris; five shallow pools of 0.8 m diameter, one of them under the landing (S0-c, S0-d); one radiation source. Four
+things look like water to a near-infrared camera and are not: a black panel, a rubber mat, a wet wall, and a floor in a
+corner that a low wall keeps in the shadow of the robot's lamp.
+Everything but the debris and the crates is where it is; those two are drawn from the seed and keep clear of `FREE_WAY`
+and of the `SIGHT_LINES` from there to the pools.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +21,14 @@ from .world import Solid, World
 FREE_WAY = np.array(
     [
         [-8.0, -5.0],
+        [-6.2, -3.9],
         [-2.0, -5.2],
+        [-0.4, -4.2],
         [4.0, -4.6],
         [7.2, -2.0],
-        [7.2, 3.0],
-        [2.4, 3.0],
+        [7.2, 1.6],
+        [1.4, 0.9],
+        [3.0, 3.0],
         [-5.6, 3.0],
         [-8.2, 0.5],
         [-8.0, -5.0],
@@ -35,6 +42,15 @@ POOLS = {
     "pool_5": (-6.6, 5.4),
 }
 POOL_RADIUS = 0.4
+# From the way to each pool, clear of debris and crates within 0.6 m: otherwise a survey could not see them all [m].
+SIGHT_LINES = {
+    "pool_1": (1.4, 0.9),
+    "pool_2": (-6.2, -3.9),
+    "pool_3": (-0.4, -4.2),
+    "pool_4": (7.2, 1.6),
+    "pool_5": (-5.6, 3.0),
+}
+CRATES = 16
 STEPS, RISE, RUN, STAIR_WIDTH, LANDING = 6, 0.18, 0.26, 1.2, 1.6
 STAIR_Y, LANDING_X = 3.0, -1.2
 STEEL_RGB, CONCRETE_RGB = [0.55, 0.57, 0.6], [0.72, 0.71, 0.68]
@@ -43,12 +59,36 @@ STEEL_RGB, CONCRETE_RGB = [0.55, 0.57, 0.6], [0.72, 0.71, 0.68]
 def build(seed: int = 0) -> World:
     """Builds the hall. `seed` moves the crates and the debris."""
     rng = np.random.default_rng(seed)
-    solids = [*_shell(), *_stair(), *_pipes(), *_pools(), *_crates(rng), *_debris(rng)]
-    solids.append(
-        Solid(name="source", cylinder=[0.12, 0.3], xyz=[8.6, -5.6, 0.15], surface="source", rgb=[0.95, 0.8, 0.1])
-    )
+    return _hall([*_crates(rng), *_debris(rng)])
+
+
+def build_later(seed: int = 0) -> World:
+    """The hall of `build` some time later: of its 16 crates 10 have been moved, 5 taken away, and 5 new ones are there.
+
+    New ones have the numbers from 17 on, so that crates can be told apart by name.
+    """
+    before = build(seed)
+    rng = np.random.default_rng([seed, 1])
+    order = rng.permutation(CRATES) + 1
+    moved, removed = ({f"crate_{i}" for i in part} for part in (order[:10], order[10:15]))
+    crates = {solid.name: solid for solid in before.solids if solid.name.startswith("crate_")}
+    taken = np.array([solid.xyz[:2] for solid in before.solids if solid.name.startswith(("crate_", "debris_"))])
+    places = _spread(rng, 15, 1.1, taken, apart=1.2)
+    loose = [solid for solid in before.solids if solid.name.startswith("debris_")]
+    for name, solid in crates.items():
+        if name in moved:
+            x, y = places[sorted(moved).index(name)]
+            loose.append(replace(solid, xyz=[float(x), float(y), solid.xyz[2]]))
+        elif name not in removed:
+            loose.append(solid)
+    loose += [_crate(rng, f"crate_{CRATES + i}", place) for i, place in enumerate(places[10:], 1)]
+    return _hall(loose)
+
+
+def _hall(loose: list[Solid]) -> World:
+    source = Solid(name="source", cylinder=[0.12, 0.3], xyz=[8.6, -5.6, 0.15], surface="source", rgb=[0.95, 0.8, 0.1])
     return World(
-        solids=solids,
+        solids=[*_shell(), *_stair(), *_pipes(), *_pools(), *_traps(), *loose, source],
         surfaces={
             "floor": surfaces.CONCRETE_FLOOR,
             "wall": surfaces.CONCRETE_WALL,
@@ -59,6 +99,9 @@ def build(seed: int = 0) -> World:
             "water": surfaces.WATER,
             "hot_pipe": surfaces.HOT_PIPE,
             "source": surfaces.SOURCE,
+            "black_panel": surfaces.BLACK_PANEL,
+            "rubber": surfaces.RUBBER,
+            "wet_wall": surfaces.WET_WALL,
         },
     )
 
@@ -151,6 +194,20 @@ def _pools() -> list[Solid]:
     return [Solid(name=name, cylinder=[POOL_RADIUS, 0.01], xyz=[x, y, 0.0], **look) for name, (x, y) in POOLS.items()]
 
 
+def _traps() -> list[Solid]:
+    """What is dark in the near-infrared without being water."""
+    dark: dict[str, Any] = {"rgb": [0.08, 0.08, 0.09]}
+    return [
+        Solid(
+            name="panel", box=[1.0, 0.03, 1.2], xyz=[-3.2, -1.4, 0.6], rpy_deg=[0, 0, 30], surface="black_panel", **dark
+        ),
+        # As high as the water: the robot may drive over it.
+        Solid(name="mat", box=[1.2, 0.8, 0.01], xyz=[2.6, -5.9, 0.0], surface="rubber", collides=False, **dark),
+        Solid(name="wet_wall", box=[0.02, 2.0, 1.6], xyz=[9.99, 0.0, 0.8], surface="wet_wall", rgb=[0.3, 0.3, 0.32]),
+        Solid(name="low_wall", box=[1.6, 0.1, 0.36], xyz=[-9.2, 5.0, 0.18], surface="wall", rgb=CONCRETE_RGB),
+    ]
+
+
 def clearance(points: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Distance of each point to a polyline [m]. points: (N, 2), way: (K, 2)."""
     start, along = way[:-1], np.diff(way, axis=0)
@@ -159,27 +216,44 @@ def clearance(points: np.ndarray, way: np.ndarray) -> np.ndarray:
     return np.linalg.norm(points[:, None] - nearest, axis=-1).min(1)
 
 
-def _spread(rng: np.random.Generator, count: int, gap: float) -> np.ndarray:
-    """Draws `count` places (x, y) at least `gap` [m] away from the way, the stair and the pools."""
+def _spread(
+    rng: np.random.Generator, count: int, gap: float, taken: np.ndarray | None = None, apart: float = 0.0
+) -> np.ndarray:
+    """Draws `count` places (x, y) [m] at least `gap` from the way, the stair and the mat, and clear of the pools.
+
+    They are at least `apart` from each other and from those that are `taken`, (N, 2).
+    """
     stair = np.array([[LANDING_X - 3.4, STAIR_Y], [LANDING_X + 3.4, STAIR_Y]])
+    mat, low_wall = np.array([[2.0, -5.9], [3.2, -5.9]]), np.array([[-10.0, 5.0], [-8.4, 5.0]])
     pools = np.array(list(POOLS.values()))
-    places: list[np.ndarray] = []
-    while len(places) < count:
+    sights = [np.array([start, POOLS[name]]) for name, start in SIGHT_LINES.items()]
+    places = [] if taken is None else list(taken)
+    first = len(places)
+    while len(places) < first + count:
         place = rng.uniform([-9.4, -6.4], [9.4, 6.2])
-        clear = clearance(place[None], FREE_WAY)[0] > gap and clearance(place[None], stair)[0] > gap + 0.3
-        if clear and np.linalg.norm(pools - place, axis=1).min() > POOL_RADIUS + 0.4:
+        at = place[None]
+        clear = clearance(at, FREE_WAY)[0] > gap and clearance(at, stair)[0] > gap + 0.3
+        clear = clear and min(clearance(at, line)[0] for line in (mat, low_wall)) > 0.9
+        clear = clear and min(clearance(at, sight)[0] for sight in sights) > 0.6
+        clear = clear and np.linalg.norm(pools - place, axis=1).min() > POOL_RADIUS + 0.4
+        if apart and places:
+            clear = clear and np.linalg.norm(np.array(places) - place, axis=1).min() > apart
+        if clear:
             places.append(place)
-    return np.array(places)
+    return np.array(places[first:])
 
 
 def _crates(rng: np.random.Generator) -> list[Solid]:
-    solids = []
-    for i, (x, y) in enumerate(_spread(rng, 12, 1.1), 1):
-        size = rng.uniform([0.4, 0.4, 0.3], [0.8, 0.8, 1.1])
-        look: dict[str, Any] = {"surface": "crate", "rgb": [0.6, 0.42, 0.22]}
-        yaw = [0.0, 0.0, float(rng.uniform(0, 90))]
-        solids.append(Solid(name=f"crate_{i}", box=size.tolist(), xyz=[x, y, size[2] / 2], rpy_deg=yaw, **look))
-    return solids
+    places = _spread(rng, CRATES, 1.1, apart=1.2)
+    return [_crate(rng, f"crate_{i}", place) for i, place in enumerate(places, 1)]
+
+
+def _crate(rng: np.random.Generator, name: str, place: np.ndarray) -> Solid:
+    size = rng.uniform([0.4, 0.4, 0.3], [0.8, 0.8, 1.1])
+    look: dict[str, Any] = {"surface": "crate", "rgb": [0.6, 0.42, 0.22]}
+    yaw = [0.0, 0.0, float(rng.uniform(0, 90))]
+    x, y = place.tolist()
+    return Solid(name=name, box=size.tolist(), xyz=[x, y, size[2] / 2], rpy_deg=yaw, **look)
 
 
 def _debris(rng: np.random.Generator) -> list[Solid]:

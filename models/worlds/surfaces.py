@@ -14,3 +14,7 @@ HOT_PIPE = Surface(
 )
 SOURCE = Surface(label="source", lidar_reflectivity=0.6, nir_reflectance=0.5, activity=50.0, attenuation=0.0)
 SIGN = Surface(label="sign", lidar_reflectivity=1.0, nir_reflectance=0.9)
+# What a near-infrared camera takes for water.
+BLACK_PANEL = Surface(label="panel", lidar_reflectivity=0.05, nir_reflectance=0.04, attenuation=10.0)
+RUBBER = Surface(label="rubber", lidar_reflectivity=0.05, nir_reflectance=0.05, attenuation=8.6)
+WET_WALL = Surface(label="wet_wall", lidar_reflectivity=0.15, nir_reflectance=0.04, specular=0.2)

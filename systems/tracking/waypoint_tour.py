@@ -1,6 +1,6 @@
-"""A tour of waypoints: turn on the spot towards the next one, drive the straight leg, repeat."""
+"""A tour of waypoints: turn on the spot towards the next one, drive the straight leg, look around there, repeat."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -12,7 +12,7 @@ from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
 from .kanayama import planar_pose, pose_error
 
-TURN, DRIVE, DONE = 0.0, 1.0, 2.0
+TURN, DRIVE, FACE, LOOK, DONE = range(5)
 
 
 @dataclass(kw_only=True)
@@ -23,6 +23,8 @@ class Waypoint:
     xy: list[float] = quantity([0.0, 0.0], unit="m")
     # Flipper preset on the leg to this waypoint; "auto" leaves it to the pitch rule.
     flippers: str = "auto"
+    # Headings in M to turn to there, one after the other, and to stand still at for `look_time` [deg].
+    look_deg: list[float] = quantity([], unit="deg")
 
 
 @dataclass(kw_only=True)
@@ -43,6 +45,8 @@ class TourConfig:
     min_turn_rate: float = quantity(0.15, unit="rad/s", low=0)
     # Turning ends within this heading error [rad].
     turn_tolerance: float = quantity(0.05, unit="rad", above=0)
+    # How long the robot stands still at each heading of `look_deg`, so that its sensors see their whole field [s].
+    look_time: float = quantity(10.0, unit="s", low=0)
     # Period of the decisions [s].
     period: float = quantity(0.05, unit="s", above=0)
 
@@ -66,6 +70,32 @@ def leg_reference(pose: np.ndarray, start: np.ndarray, goal: np.ndarray) -> tupl
     return np.array([*(start + s * direction), np.arctan2(direction[1], direction[0])]), length - s
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Where the tour stands: the waypoint, what is done about it, and since when.
+
+    Attributes:
+        index: of the waypoint.
+        phase: TURN towards it, DRIVE to it, FACE a heading there, LOOK around at that heading, or all is DONE.
+        start: where the leg started (2) [m], NaN before the first step.
+        look: which of the waypoint's headings.
+        since: when LOOK began [s].
+    """
+
+    index: int
+    phase: int
+    start: np.ndarray
+    look: int
+    since: float
+
+    def to_state(self) -> np.ndarray:
+        return np.array([self.index, self.phase, *self.start, self.look, self.since])
+
+    @staticmethod
+    def from_state(state: np.ndarray) -> "_Place":
+        return _Place(int(state[0]), int(state[1]), state[2:4].copy(), int(state[4]), float(state[5]))
+
+
 class WaypointTour(LeafSystem):
     """
     .. pydrake_system::
@@ -82,7 +112,8 @@ class WaypointTour(LeafSystem):
 
     Leads a robot at `X_MB` (RigidTransform, base B in map M) along a list of waypoints. Each leg starts where the robot
     stands: first the heading is turned on the spot, then the reference runs beside the robot on the straight line, so
-    that slip delays the robot but never lets the reference run away. Made to feed `KanayamaTracking`.
+    that slip delays the robot but never lets the reference run away. Where a waypoint has headings to look at, the
+    robot turns to each and stands still there for a time. Made to feed `KanayamaTracking`.
 
     - `reference_pose` (3): x, y, heading in M [m, m, rad]; `reference_twist` (2): v_r [m/s], omega_r [rad/s].
     - `flipper_preset` (str): the preset that the current waypoint asks for.
@@ -100,10 +131,9 @@ class WaypointTour(LeafSystem):
             if len(waypoint.xy) != 2:
                 raise ConfigError("wrong length", key=f"tour.waypoints[{i}].xy", value=waypoint.xy, valid="two numbers")
         self._config = config
-        self._goals = np.array([w.xy for w in config.waypoints])
         self.DeclareAbstractInputPort("X_MB", AbstractValue.Make(RigidTransform()))
-        # Index of the waypoint, phase, and where the leg started (x, y).
-        self._state = int(self.DeclareDiscreteState(np.array([0.0, TURN, np.nan, np.nan])))
+        start = _Place(0, TURN, np.full(2, np.nan), 0, 0.0)
+        self._state = int(self.DeclareDiscreteState(start.to_state()))
         self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._Update)
         self.DeclareVectorOutputPort("reference_pose", 3, self._CalcReferencePose)
         self.DeclareVectorOutputPort("reference_twist", 2, self._CalcReferenceTwist)
@@ -117,60 +147,77 @@ class WaypointTour(LeafSystem):
     def _pose(self, context: Context) -> np.ndarray:
         return planar_pose(eval_typed(self, context, "X_MB", RigidTransform))
 
-    def _unpack(self, context: Context) -> tuple[int, float, np.ndarray, np.ndarray]:
-        state = context.get_discrete_state(self._state).value()
-        index = min(int(state[0]), len(self._goals) - 1)
-        return index, state[1], state[2:], self._goals[index]
+    def _place(self, context: Context) -> _Place:
+        return _Place.from_state(context.get_discrete_state(self._state).value())
 
     def _Update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        index, phase, start, goal = self._unpack(context)
-        if phase == DONE:
+        place = self._place(context)
+        if place.phase == DONE:
             return
-        pose = self._pose(context)
-        if np.isnan(start).any():
-            start = pose[:2]
-        reference, remaining = leg_reference(pose, start, goal)
-        if phase == TURN and (
-            remaining <= self._config.tolerance or abs(pose_error(pose, reference)[2]) < self._config.turn_tolerance
-        ):
-            phase, start = DRIVE, pose[:2]
-        elif phase == DRIVE and remaining <= self._config.tolerance:
-            index += 1
-            phase, start = (TURN if index < len(self._goals) else DONE), pose[:2]
-        discrete_state.set_value(self._state, np.array([index, phase, *start]))
+        place = self._next(place, self._pose(context), context.get_time())
+        discrete_state.set_value(self._state, place.to_state())
+
+    def _next(self, place: _Place, pose: np.ndarray, time: float) -> _Place:
+        """What to do after one more look at the pose."""
+        config, waypoint = self._config, self._config.waypoints[place.index]
+        if np.isnan(place.start).any():
+            place = replace(place, start=pose[:2])
+        if place.phase in (TURN, DRIVE):
+            reference, remaining = leg_reference(pose, place.start, np.array(waypoint.xy))
+            there = remaining <= config.tolerance
+            if place.phase == TURN and (there or abs(pose_error(pose, reference)[2]) < config.turn_tolerance):
+                return replace(place, phase=DRIVE, start=pose[:2])
+            if place.phase == DRIVE and there:
+                return self._look_or_leave(replace(place, look=0), pose)
+        elif place.phase == FACE and abs(self._heading_error(place, pose)) < config.turn_tolerance:
+            return replace(place, phase=LOOK, since=time)
+        elif place.phase == LOOK and time - place.since >= config.look_time:
+            return self._look_or_leave(replace(place, look=place.look + 1), pose)
+        return place
+
+    def _look_or_leave(self, place: _Place, pose: np.ndarray) -> _Place:
+        if place.look < len(self._config.waypoints[place.index].look_deg):
+            return replace(place, phase=FACE)
+        index = place.index + 1
+        phase = TURN if index < len(self._config.waypoints) else DONE
+        return replace(place, index=index, phase=phase, start=pose[:2])
+
+    def _heading(self, place: _Place, pose: np.ndarray) -> float:
+        """The heading to turn to on the spot [rad]."""
+        waypoint = self._config.waypoints[place.index]
+        if place.phase == TURN:
+            return float(np.arctan2(*(np.array(waypoint.xy) - pose[:2])[::-1]))
+        return float(np.deg2rad(waypoint.look_deg[place.look]))
+
+    def _heading_error(self, place: _Place, pose: np.ndarray) -> float:
+        return float(pose_error(pose, np.array([*pose[:2], self._heading(place, pose)]))[2])
 
     def _CalcReferencePose(self, context: Context, output: BasicVector) -> None:
-        pose = self._pose(context)
-        _, phase, start, goal = self._unpack(context)
-        if phase == DRIVE:
-            pose, _ = leg_reference(pose, start, goal)
-        elif phase == TURN:
-            pose = np.array([*pose[:2], np.arctan2(*(goal - pose[:2])[::-1])])
+        pose, place = self._pose(context), self._place(context)
+        if place.phase == DRIVE:
+            pose, _ = leg_reference(pose, place.start, np.array(self._config.waypoints[place.index].xy))
+        elif place.phase in (TURN, FACE):
+            pose = np.array([*pose[:2], self._heading(place, pose)])
         output.SetFromVector(pose)
 
     def _CalcReferenceTwist(self, context: Context, output: BasicVector) -> None:
-        pose = self._pose(context)
-        _, phase, start, goal = self._unpack(context)
+        pose, place, config = self._pose(context), self._place(context), self._config
         v_r, omega_r = 0.0, 0.0
-        if phase == DRIVE:
-            _, remaining = leg_reference(pose, start, goal)
-            v_r = min(self._config.speed, np.sqrt(2 * self._config.deceleration * remaining))
-        elif phase == TURN:
-            turn = pose_error(pose, np.array([*pose[:2], np.arctan2(*(goal - pose[:2])[::-1])]))[2]
-            rate = np.clip(
-                abs(self._config.turn_gain * turn),
-                min(self._config.min_turn_rate, self._config.turn_rate),
-                self._config.turn_rate,
-            )
-            omega_r = float(np.copysign(rate, turn))
+        if place.phase == DRIVE:
+            _, remaining = leg_reference(pose, place.start, np.array(config.waypoints[place.index].xy))
+            v_r = min(config.speed, np.sqrt(2 * config.deceleration * remaining))
+        elif place.phase in (TURN, FACE):
+            turn = self._heading_error(place, pose)
+            slowest = min(config.min_turn_rate, config.turn_rate)
+            omega_r = float(np.copysign(np.clip(abs(config.turn_gain * turn), slowest, config.turn_rate), turn))
         output.SetFromVector(np.array([v_r, omega_r]))
 
     def _CalcFlipperPreset(self, context: Context, output: AbstractValue) -> None:
-        index, phase, _, _ = self._unpack(context)
-        output.set_value("auto" if phase == DONE else self._config.waypoints[index].flippers)
+        place = self._place(context)
+        output.set_value("auto" if place.phase == DONE else self._config.waypoints[place.index].flippers)
 
     def _CalcWaypointsReached(self, context: Context, output: BasicVector) -> None:
-        output[0] = context.get_discrete_state(self._state).value()[0]
+        output[0] = self._place(context).index
 
     def _CalcDone(self, context: Context, output: BasicVector) -> None:
-        output[0] = float(self._unpack(context)[1] == DONE)
+        output[0] = float(self._place(context).phase == DONE)

@@ -107,7 +107,7 @@ def test_it_is_as_large_as_the_source_says(robot):
 
 
 def test_it_weighs_about_what_comparable_robots_weigh(robot):
-    assert robot.plant.CalcTotalMass(robot.plant_context) == pytest.approx(29.88, abs=0.01)
+    assert robot.plant.CalcTotalMass(robot.plant_context) == pytest.approx(30.88, abs=0.01)
 
 
 def test_its_mass_is_centred_between_the_tracks_and_low(robot):
@@ -180,10 +180,28 @@ def test_sensors_see_what_is_drawn(robot):
 def test_the_lidar_scans_0_3_m_above_ground_and_over_the_whole_robot(robot):
     eye = robot.pose("lidar").translation()
     np.testing.assert_allclose(eye, [0, 0, 0.3], atol=1e-9)
-    for shape, X_WG in robot.geometries(Role.kPerception, without=["lidar"]):
-        offset = outline_points(shape, X_WG) - eye
-        elevation = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1]))
-        assert elevation.max() < math.radians(-15)  # the VLP-16's lowest ring
+
+    def elevations(without):
+        points = np.vstack([outline_points(*g) for g in robot.geometries(Role.kPerception, without=without)]) - eye
+        return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+
+    assert elevations(["lidar", "mast"]).max() < math.radians(-15)  # the VLP-16's lowest ring
+    assert elevations([b.name() for b in robot.bodies() if b.name() != "mast"]).min() > math.radians(15)
+
+
+def test_the_cameras_look_ahead_from_the_mast(robot):
+    def pose(name):
+        return robot.plant.GetFrameByName(name, robot.model).CalcPoseInWorld(robot.plant_context)
+
+    for name, pitch in (("depth_camera", 10), ("thermal_camera", 0)):
+        R_WC = pose(name).rotation().matrix()
+        np.testing.assert_allclose(R_WC[:, 0], [0, -1, 0], atol=1e-9)  # x is right
+        np.testing.assert_allclose(R_WC[:, 2], [np.cos(np.deg2rad(pitch)), 0, -np.sin(np.deg2rad(pitch))], atol=1e-9)
+        assert pose(name).translation()[2] == pytest.approx(0.56)
+    np.testing.assert_allclose(
+        pose("nir_mount").rotation().matrix()[:, 0], pose("depth_camera").rotation().matrix()[:, 2], atol=1e-9
+    )
+    assert pose("lamp").translation()[2] == pytest.approx(0.44)
 
 
 def test_the_imu_sits_in_the_origin_of_the_base(robot):

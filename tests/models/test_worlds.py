@@ -57,6 +57,40 @@ def test_crates_and_debris_leave_the_way_free(seed):
     assert gap.min() > 0.45
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_every_pool_can_be_seen_from_the_way(seed):
+    world = load_world("stair_hall", seed)
+    loose = [s for s in world.solids if s.name.startswith(("crate", "debris"))]
+    reach = np.array([np.hypot(*s.box[:2]) / 2 for s in loose])
+    for pool, start in stair_hall.SIGHT_LINES.items():
+        line = np.array([start, stair_hall.POOLS[pool]])
+        assert np.linalg.norm(np.diff(line, axis=0)) < 5
+        assert (stair_hall.clearance(np.array([s.xyz[:2] for s in loose]), line) - reach).min() > 0
+        assert stair_hall.clearance(np.array([start]), stair_hall.FREE_WAY)[0] < 1e-9
+
+
+def test_the_hall_has_what_a_near_infrared_camera_takes_for_water():
+    world = load_world("stair_hall", 0)
+    dark = {s.name for s in world.solids if world.surfaces[s.surface].nir_reflectance < 0.1}
+    assert dark == {*stair_hall.POOLS, "panel", "mat", "wet_wall"}
+    lamp, wall = 0.44, next(s for s in world.solids if s.name == "low_wall")
+    assert wall.xyz[2] + wall.box[2] / 2 < lamp  # the lamp shines over it, but the floor behind is in its shadow
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_later_ten_crates_have_moved_five_are_gone_and_five_are_new(seed):
+    before, later = ({s.name: s for s in load_world(name, seed).solids} for name in ("stair_hall", "stair_hall_later"))
+    assert sum(name not in later for name in before) == 5
+    assert sum(name not in before for name in later) == 5
+    changed = [name for name in before if name in later and before[name] != later[name]]
+    assert len(changed) == 10
+    assert all(name.startswith("crate_") for name in changed)
+    assert all(np.hypot(*np.subtract(before[n].xyz, later[n].xyz)[:2]) > 1.2 for n in changed)
+    loose = [s for s in later.values() if s.name.startswith("crate_")]
+    reach = np.array([np.hypot(*s.box[:2]) / 2 for s in loose])
+    assert (stair_hall.clearance(np.array([s.xyz[:2] for s in loose]), stair_hall.FREE_WAY) - reach).min() > 0.45
+
+
 def test_a_world_from_a_file(tmp_path):
     path = tmp_path / "yard.yaml"
     path.write_text(GROUND)
@@ -87,7 +121,7 @@ def test_a_bad_world_file_gives_one_line_that_names_it(tmp_path, text, message):
 
 
 def test_an_unknown_world_and_a_missing_file_are_refused():
-    with pytest.raises(WorldError, match=r"unknown world.*'moon'.*corridor, rough, stair_hall"):
+    with pytest.raises(WorldError, match=r"unknown world.*'moon'.*corridor, rough, stair_hall, stair_hall_later"):
         load_world("moon", 0)
     with pytest.raises(WorldError, match=r"nowhere\.yaml: No such file"):
         load_world("nowhere.yaml", 0)

@@ -37,10 +37,14 @@ class Unicycle(LeafSystem):
         output.set_value(RigidTransform(RollPitchYaw(0, 0, theta), [x, y, 0]))
 
 
-def drive(waypoints, duration, grip=1.0):
+def make_waypoint(where):
+    return where if isinstance(where, Waypoint) else Waypoint(xy=list(where))
+
+
+def drive(waypoints, duration, grip=1.0, **config):
     builder = DiagramBuilder()
     robot = builder.AddSystem(Unicycle(grip))
-    tour = builder.AddSystem(WaypointTour(TourConfig(waypoints=[Waypoint(xy=list(w)) for w in waypoints])))
+    tour = builder.AddSystem(WaypointTour(TourConfig(waypoints=[make_waypoint(w) for w in waypoints], **config)))
     law = builder.AddSystem(KanayamaTracking(KanayamaConfig()))
     builder.Connect(robot.GetOutputPort("X_MB"), tour.GetInputPort("X_MB"))
     builder.Connect(robot.GetOutputPort("X_MB"), law.GetInputPort("X_MB"))
@@ -84,6 +88,29 @@ def test_a_waypoint_behind_the_robot_is_turned_to_on_the_spot():
     turning = np.abs(path[:, 2]) < np.pi - 0.1
     assert np.hypot(*path[turning, :2].T).max() < 0.01
     assert path[-1, 0] == pytest.approx(-1, abs=0.11)
+
+
+def test_the_robot_turns_to_each_heading_of_a_waypoint_and_stands_still_there():
+    look = Waypoint(xy=[1.0, 0.0], look_deg=[90.0, -45.0])
+    path, tour, context = drive([look, (2, 0)], 40, look_time=3.0)
+    assert tour.GetOutputPort("done").Eval(context)[0] == 1
+    headings = np.rad2deg(path[:, 2])
+    at_waypoint = np.hypot(*(path[:, :2] - look.xy).T) < 0.12
+    step = 40 / len(path)
+    for heading in look.look_deg:
+        still = at_waypoint & (np.abs(headings - heading) < 3)
+        longest = max(np.diff(np.flatnonzero(np.diff([0, *still, 0])))[::2])
+        assert 3.0 <= longest * step < 5.0
+    first = np.flatnonzero(np.abs(headings - 90) < 3)[0]
+    second = np.flatnonzero(np.abs(headings + 45) < 3)[0]
+    assert first < second
+    np.testing.assert_allclose(path[-1, :2], [2, 0], atol=0.12)
+
+
+def test_a_waypoint_counts_as_reached_when_it_has_been_looked_at():
+    _, tour, context = drive([Waypoint(xy=[0.5, 0.0], look_deg=[0.0])], 4, look_time=100.0)
+    assert tour.GetOutputPort("waypoints_reached").Eval(context)[0] == 0
+    np.testing.assert_allclose(tour.GetOutputPort("reference_twist").Eval(context), 0)
 
 
 def test_leg_reference_is_the_foot_of_the_perpendicular_and_never_beyond_the_goal():
