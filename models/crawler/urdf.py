@@ -5,8 +5,8 @@ Its links are `base` (origin between the track axles at axle height, x forward, 
 `right_track`, four flippers `{front,rear}_{left,right}_flipper`, `lidar`, `imu` and `mast`, the head over the LiDAR.
 The head has frames for what it carries: `depth_camera` and `thermal_camera` (optical frames: x right, y down, z
 forward), `nir_mount` of the pan-tilt (x forward, y left, z up), `lamp` and `gamma_counter`. Tracks and flippers are
-native tracks of Drake: links whose surface runs around +y with the speed on the plant's `surface_speeds` port, so that a
-positive speed drives the robot forward. A flipper's angle is 0 when it lies flat and positive with its tip up.
+native tracks of Drake: links whose surface runs around +y with the speed on the plant's `surface_speeds` port, so that
+a positive speed drives the robot forward. A flipper's angle is 0 when it lies flat and positive with its tip up.
 
 Contact geometry is spheres alone: they are the only shape whose contact on an edge Drake computes in closed form
 (capsules and ellipsoids were tried; their normal on a stair nosing came out as the riser's). A belt has a few small

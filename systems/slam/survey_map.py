@@ -27,7 +27,12 @@ class SurveyMapConfig:
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """Abstract state; read-only, so that Drake may share it instead of copying it at every update."""
+    """Abstract state; read-only, so that Drake may share it instead of copying it at every update.
+
+    Attributes:
+        voxels: all keyframes but the newest.
+        keyframes: all of them.
+    """
 
     voxels: VoxelCloud
     keyframes: tuple[Keyframe, ...] = ()
@@ -47,12 +52,14 @@ class SurveyMap(LeafSystem):
         - map_M
         - keyframes
 
-    Adds every new `keyframe` (`Keyframe`), once for each index, at its X_MB to a grid of voxels. `map_M` is the cloud
+    Adds every `keyframe` (`Keyframe`), once for each index, at its X_MB to a grid of voxels. `map_M` is the cloud
     of their mean positions in the map frame M [m], with the mean of every attribute and the `count` of keyframe
     points (`open3d.t.geometry.PointCloud`, see `VoxelCloud`); it is put together only when it is asked for.
     `keyframes` (tuple of `Keyframe`) is what it was made of, in the order of arrival.
 
-    A keyframe arrives one period after the scan matcher made it, because both update at the same instants.
+    The newest keyframe stays open: as long as no other index comes, a later version of it, to which a camera has added
+    what it saw, takes its place. A keyframe arrives one period after it was made, because all update at the same
+    instants.
 
     Raises:
         ConfigError: a value of the configuration is out of range.
@@ -77,10 +84,14 @@ class SurveyMap(LeafSystem):
     def _AddKeyframe(self, context: Context, state: State) -> EventStatus:
         keyframe = eval_typed(self, context, "keyframe", Keyframe)
         known = self._map(context)
-        if keyframe.index < 0 or (known.keyframes and keyframe.index <= known.keyframes[-1].index):
+        newest = known.keyframes[-1] if known.keyframes else None
+        if keyframe.index < 0 or keyframe is newest or (newest is not None and keyframe.index < newest.index):
             return EventStatus.DidNothing()
-        voxels = known.voxels.insert(keyframe.cloud_B, keyframe.X_MB.GetAsMatrix4())
-        state.get_mutable_abstract_state(0).set_value(_Map(voxels, (*known.keyframes, keyframe)))
+        if newest is not None and keyframe.index == newest.index:
+            grown = _Map(known.voxels, (*known.keyframes[:-1], keyframe))
+        else:
+            grown = _Map(_insert(known.voxels, newest), (*known.keyframes, keyframe))
+        state.get_mutable_abstract_state(0).set_value(grown)
         return EventStatus.Succeeded()
 
     @staticmethod
@@ -89,10 +100,15 @@ class SurveyMap(LeafSystem):
         return held.get_value()
 
     def _CalcMap(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._map(context).voxels.to_cloud())
+        known = self._map(context)
+        output.set_value(_insert(known.voxels, known.keyframes[-1] if known.keyframes else None).to_cloud())
 
     def _CalcKeyframes(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._map(context).keyframes)
+
+
+def _insert(voxels: VoxelCloud, keyframe: Keyframe | None) -> VoxelCloud:
+    return voxels if keyframe is None else voxels.insert(keyframe.cloud_B, keyframe.X_MB.GetAsMatrix4())
 
 
 def _no_points() -> PointCloud:
