@@ -4,10 +4,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from pydrake.math import RotationMatrix
 
 from ..errors import CameraError
 
-_UNDISTORT_ITERATIONS = 20
+# Orientation of an optical frame (x right, y down, z forward) in a frame with x forward, y left and z up.
+R_OPTICAL = RotationMatrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+
+_UNDISTORT_ITERATIONS = 30
 # Directions this much outside the image are not projected: there the distortion polynomial may fold back into it.
 _MARGIN = 0.1
 
@@ -16,8 +20,8 @@ _MARGIN = 0.1
 class CameraModel:
     """Intrinsics A and lens distortion of a camera with W × H pixels.
 
-    Camera frame C: x right, y down, z forward along the optical axis, as in Drake and OpenCV. A pixel's centre has whole
-    coordinates: (u, v) = (0, 0) is the centre of the one in the upper left corner. Images are indexed [v, u].
+    Camera frame C: x right, y down, z forward along the optical axis, as in Drake and OpenCV. A pixel's centre has
+    whole coordinates: (u, v) = (0, 0) is the centre of the one in the upper left corner. Images are indexed [v, u].
 
     Attributes:
         width, height: [px].
@@ -75,20 +79,21 @@ class CameraModel:
             p_CP: (N, 3) [m].
 
         Returns:
-            uv (N, 2) in the type of `p_CP`, and which points are in front of the camera and within the image, (N,).
-            Pixels of the others mean nothing.
+            uv (N, 2) in the floating-point type of `p_CP`, and which points are in front of the camera and within the
+            image, (N,). Pixels of the others mean nothing.
         """
         z = p_CP[:, 2]
         ahead = z > 0
         depth = np.where(ahead, z, 1)
-        x, y = p_CP[:, 0] / depth, p_CP[:, 1] / depth
-        if self.distorted:
-            low, high = self._bounds
-            ahead &= (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-            x, y = self._distort(x, y)
-        uv = np.empty((len(p_CP), 2), p_CP.dtype)
-        uv[:, 0] = self.fx * x + self.cx
-        uv[:, 1] = self.fy * y + self.cy
+        uv = np.empty((len(p_CP), 2), np.result_type(p_CP, np.float32))
+        with np.errstate(over="ignore", invalid="ignore"):  # points almost in the plane z = 0, or at infinity
+            x, y = p_CP[:, 0] / depth, p_CP[:, 1] / depth
+            if self.distorted:
+                low, high = self._bounds
+                ahead &= (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+                x, y = self._distort(x, y)
+            uv[:, 0] = self.fx * x + self.cx
+            uv[:, 1] = self.fy * y + self.cy
         inside = ahead & (uv[:, 0] >= -0.5) & (uv[:, 0] < self.width - 0.5)
         inside &= (uv[:, 1] >= -0.5) & (uv[:, 1] < self.height - 0.5)
         return uv, inside
@@ -106,16 +111,30 @@ class CameraModel:
         return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
 
     def undistort(self, uv: np.ndarray) -> np.ndarray:
-        """Where the rays of pixel coordinates (N, 2) meet the plane z = 1, (N, 2)."""
+        """Where the rays of pixel coordinates (N, 2) meet the plane z = 1, (N, 2), by Newton's method.
+
+        Raises:
+            CameraError: the distortion folds the image: no ray or several belong to one of the pixels.
+        """
         distorted = (np.asarray(uv, float) - [self.cx, self.cy]) / [self.fx, self.fy]
-        xy = distorted.copy()
         if not self.distorted:
-            return xy
-        for _ in range(_UNDISTORT_ITERATIONS):
-            xy += distorted - np.column_stack(self._distort(xy[:, 0], xy[:, 1]))
-        if not np.abs(np.column_stack(self._distort(xy[:, 0], xy[:, 1])) - distorted).max(initial=0) < 1e-6:
+            return distorted
+        x, y = distorted.T.copy()
+        with np.errstate(all="ignore"):
+            for _ in range(_UNDISTORT_ITERATIONS):
+                xd, yd = self._distort(x, y)
+                ex, ey = distorted[:, 0] - xd, distorted[:, 1] - yd
+                if np.abs([ex, ey]).max(initial=0) < 1e-14:
+                    break
+                a, b, c = self._distortion_jacobian(x, y)
+                det = a * c - b * b
+                x, y = x + (c * ex - b * ey) / det, y + (a * ey - b * ex) / det
+            error = np.abs(np.stack(self._distort(x, y)) - distorted.T).max(initial=0)
+            a, b, c = self._distortion_jacobian(x, y)
+            unfolded = (a > 0) & (a * c - b * b > 0)
+        if not (error < 1e-9 and unfolded.all()):
             raise CameraError("the distortion folds the image", where="camera", key="distortion", value=self.distortion)
-        return xy
+        return np.column_stack([x, y])
 
     def unproject(self, depth: np.ndarray) -> np.ndarray:
         """Points p_CP (H·W, 3) float32 [m] of a depth image (H, W), depth along z; not finite where the depth is not.
@@ -127,7 +146,8 @@ class CameraModel:
         z = np.asarray(depth, np.float32).ravel()
         points = np.empty((len(z), 3), np.float32)
         xy = self._xy32
-        points[:, 0], points[:, 1], points[:, 2] = xy[:, 0] * z, xy[:, 1] * z, z
+        with np.errstate(invalid="ignore"):  # 0 · inf on the axis
+            points[:, 0], points[:, 1], points[:, 2] = xy[:, 0] * z, xy[:, 1] * z, z
         return points
 
     def check_image(self, image: np.ndarray, where: str = "image") -> None:
@@ -142,7 +162,7 @@ class CameraModel:
     @cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
         low, high = self.xy.min(axis=0), self.xy.max(axis=0)
-        margin = _MARGIN * (high - low)
+        margin = _MARGIN * (high - low) + 1 / np.array([self.fx, self.fy])
         return low - margin, high + margin
 
     def _distort(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,4 +172,16 @@ class CameraModel:
         return (
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        )
+
+    def _distortion_jacobian(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives ∂xd/∂x, ∂xd/∂y = ∂yd/∂x and ∂yd/∂y of `_distort`."""
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        return (
+            radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
+            slope * x * y + 2 * p1 * x + 2 * p2 * y,
+            radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
         )

@@ -16,7 +16,9 @@ from ..config import check_config, quantity
 from ..noise import generator_at
 from ..ports import eval_typed, weak_method
 from .deskew import interpolate_pose
-from .ray_scene import RayScene
+from .mirror import mirror_share, mirrored_rays
+from .own_body import OwnBody
+from .ray_scene import RayHits, RayScene
 from .scan import Scan
 from .scan_pattern import ScanPattern, utm30lx, vlp16
 
@@ -48,6 +50,8 @@ class LidarConfig:
     specular_width: float = quantity(0.05, unit="rad", above=0.0)
     # Standard deviation of the intensity; a real VLP-16 has 0.009 between neighbours on smooth patches.
     intensity_noise: float = quantity(0.01, low=0.0)
+    # Whether surfaces show mirror images: a wall across a puddle then gives points below the floor.
+    mirror: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +123,16 @@ def simulate_returns(
     share. The received power b/r² over that of a white wall, square on, at the detection range R is q = b R²/r². A
     shot is detected with probability q^k / (1 + q^k), k the steepness; so returns thin out with distance, incidence
     angle, dark and mirroring surfaces. Intensity is b, as after range correction, with noise, cut to [0, 1].
-    What a mirror shows is not modelled.
+
+    With `mirror`, a shot that was not detected at a mirroring surface (s > 0) goes on along the mirrored ray and is
+    mirrored once more on its way back: b is then m² times that of what the mirrored ray meets, m = `mirror_share`, and
+    r is the length of the whole way. What the sensor reports is a point straight on at this distance, the mirror image.
+    A mirror in a mirror shows nothing, nor does what rides with the sensor.
 
     Args:
         p_WR, d_W: rays, as from `sweep_rays`, N = those of `pattern`.
-        rng: three numbers are drawn for every ray, whatever it hits.
+        rng: three numbers are drawn for every ray, whatever it hits, and three more after these for those that mirrors
+            send on.
         X_WF: poses of the moving frames, see `RayScene.cast`.
         own_geometry: geometries of the robot itself, as from `RayScene.geometries_of`: a ray that meets one of them
             first is lost.
@@ -131,28 +140,52 @@ def simulate_returns(
             they are not in the way: a ray that meets nothing nearer is lost.
     """
     hits = scene.cast(p_WR, d_W, X_WF)
-    reflectivity = hits.lookup("lidar_reflectivity")
-    specular = hits.lookup("specular")
-    cosine = hits.incidence_cos
-    lobe = np.float32(config.specular_gain) * np.exp((cosine - 1) * np.float32(config.specular_width**-2))
-    back = reflectivity * (cosine + specular * (lobe - cosine))
-
-    # Detected when u < (1 − dropout) / (1 + q^-k), u uniform. A miss has b = 0 at an infinite distance: never.
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        inverse_power = np.square(hits.distance / np.float32(pattern.detection_range)) / back
-        against = np.power(inverse_power, np.float32(config.detection_steepness))
-        uniform = rng.random(len(back), np.float32)
-        detected = uniform * (1 + against) < np.float32(1 - config.dropout)
-    measured = hits.distance + np.float32(pattern.range_noise) * rng.standard_normal(len(back), np.float32)
-    noise = rng.standard_normal(len(back), np.float32)
-    detected &= (measured >= np.float32(pattern.min_range)) & (measured <= np.float32(pattern.max_range))
+    back = _share_back(hits, config)
+    clear = np.ones(len(back), bool)
     if own_geometry is not None:
-        detected &= ~own_geometry[hits.geometry]
+        clear &= ~own_geometry[hits.geometry]
     if own_distance is not None:
-        detected &= hits.distance < own_distance
+        clear &= hits.distance < own_distance
+    detected, measured, noise = _detect(hits.distance, back, rng, config, pattern)
+    detected &= clear
+    if config.mirror and scene.surface.specular.any():
+        specular = hits.lookup("specular")
+        ray = np.flatnonzero(clear & ~detected & (specular > 0))
+        share = mirror_share(hits.lookup("lidar_reflectivity")[ray], specular[ray], hits.incidence_cos[ray])
+        start, direction, way = mirrored_rays(p_WR, d_W, hits, ray)
+        seen = scene.cast(start, direction, X_WF)
+        weight = np.square(share) * _share_back(seen, config)
+        if own_geometry is not None:
+            weight[own_geometry[seen.geometry]] = 0
+        in_mirror, far, other_noise = _detect(way + seen.distance, weight, rng, config, pattern)
+        back[ray], measured[ray], noise[ray] = weight, far, other_noise
+        detected[ray] |= in_mirror
     ray = np.flatnonzero(detected)
     intensity = back[ray] + np.float32(config.intensity_noise) * noise[ray]
     return Returns(ray, measured[ray], np.clip(intensity, 0, 1, out=intensity))
+
+
+def _share_back(hits: RayHits, config: LidarConfig) -> np.ndarray:
+    """Share b of the light that comes back from every hit, (N,) float32; 0 where a ray met nothing."""
+    cosine = hits.incidence_cos
+    lobe = np.float32(config.specular_gain) * np.exp((cosine - 1) * np.float32(config.specular_width**-2))
+    return hits.lookup("lidar_reflectivity") * (cosine + hits.lookup("specular") * (lobe - cosine))
+
+
+def _detect(
+    distance: np.ndarray, back: np.ndarray, rng: np.random.Generator, config: LidarConfig, pattern: ScanPattern
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which shots are detected and within the range, their measured distances, and unit noise for their intensity."""
+    # Detected when u < (1 − dropout) / (1 + q^-k), u uniform. A miss has b = 0 at an infinite distance: never.
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        inverse_power = np.square(distance / np.float32(pattern.detection_range)) / back
+        against = np.power(inverse_power, np.float32(config.detection_steepness))
+        uniform = rng.random(len(back), np.float32)
+        detected = uniform * (1 + against) < np.float32(1 - config.dropout)
+    measured = distance + np.float32(pattern.range_noise) * rng.standard_normal(len(back), np.float32)
+    noise = rng.standard_normal(len(back), np.float32)
+    detected &= (measured >= np.float32(pattern.min_range)) & (measured <= np.float32(pattern.max_range))
+    return detected, measured, noise
 
 
 def make_cloud(pattern: ScanPattern, returns: Returns) -> o3d.t.geometry.PointCloud:
@@ -244,13 +277,9 @@ class Lidar(LeafSystem):
         self.pattern = configured_pattern(config)
         self._scene = scene
         self._seed = seed
-        self._parent_frame = parent_frame
         self._X_PS = X_PS
-        rigid = {parent_frame: RigidTransform(), **(rigid_frames or {})}
-        p_PR, d_P = sweep_rays(self.pattern, X_PS.GetAsMatrix4(), X_PS.GetAsMatrix4())
-        self._own_distance = scene.cast(p_PR, d_P, rigid, static=False).distance
-        self._own_geometry = scene.geometries_of(own_frames)
-        self._moving_frames = [frame for frame in scene.moving_frames if frame not in rigid]
+        self._body = OwnBody(scene, parent_frame, rigid_frames, own_frames)
+        self._own_distance = self._body.distance(*sweep_rays(self.pattern, X_PS.GetAsMatrix4(), X_PS.GetAsMatrix4()))
 
         self.DeclareAbstractInputPort("geometry_query", AbstractValue.Make(QueryObject()))
         nothing = Scan(make_cloud(self.pattern, Returns(np.zeros(0, int), *np.zeros((2, 0), np.float32))), 0.0, 0.0, -1)
@@ -270,7 +299,7 @@ class Lidar(LeafSystem):
     def _FinishScan(self, context: Context, state: State) -> None:
         query = eval_typed(self, context, "geometry_query", QueryObject)
         now = context.get_time()
-        X_WS = (query.GetPoseInWorld(self._parent_frame) @ self._X_PS).GetAsMatrix4()
+        X_WS = (self._body.parent_pose(query) @ self._X_PS).GetAsMatrix4()
         held: Any = state.get_mutable_abstract_state(int(self._state))
         sweep: _SweepState = held.get_mutable_value()
         period = self.pattern.period
@@ -281,8 +310,8 @@ class Lidar(LeafSystem):
                 generator_at(self._seed, sweep.scan.index + 1),
                 config=self.config,
                 pattern=self.pattern,
-                X_WF={frame: query.GetPoseInWorld(frame) for frame in self._moving_frames},
-                own_geometry=self._own_geometry,
+                X_WF=self._body.other_poses(query),
+                own_geometry=self._body.moving,
                 own_distance=self._own_distance,
             )
             sweep.scan = Scan(make_cloud(self.pattern, returns), sweep.time, now, sweep.scan.index + 1)

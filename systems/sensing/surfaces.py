@@ -81,11 +81,12 @@ class SurfaceTable:
 class SurfaceArrays:
     """Properties of G geometries as arrays of G + 1 entries, to be indexed by an array of geometry indices.
 
-    The entry after the last is for index -1, a ray that hits nothing: reflectivity, reflectance, specular, emissivity,
-    activity and attenuation are 0 there, temperature is NaN and `label_id` is -1.
+    The entry after the last is for index -1, a ray that hits nothing: all are 0 there but temperature, which is NaN,
+    and `label_id`, which is -1.
 
     Attributes:
-        lidar_reflectivity, nir_reflectance, specular, temperature, emissivity, activity, attenuation: float32, as in `Surface`.
+        lidar_reflectivity, nir_reflectance, specular, temperature, emissivity, activity, attenuation: float32, as in
+            `Surface`.
         label_id: int32, index into `labels`.
         labels: the different labels, sorted.
     """

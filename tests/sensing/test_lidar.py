@@ -15,6 +15,7 @@ from naraha.systems.sensing import (
     welded_frames,
 )
 from naraha.systems.sensing.lidar import Returns, configured_pattern, make_cloud, simulate_returns, sweep_rays
+from naraha.systems.sensing.mirror import mirror_share
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import Box, FramePoseVector, HalfSpace, SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -176,6 +177,125 @@ def test_mirroring_surface_returns_only_near_normal_incidence(make_world):
     shares = [len(beam(2000, np.radians(a), 10, steel, make_world, LidarConfig(dropout=0)).ray) for a in (0, 3, 20, 60)]
     assert shares[:2] == [2000, 2000]
     assert shares[2:] == [0, 0]
+
+
+WATER = Surface(label="water", lidar_reflectivity=0.02, specular=0.98)
+WALL = Surface(label="wall", lidar_reflectivity=0.5)
+
+
+def pond(make_world, *, water=WATER, wall=WALL):
+    """Still water 1 m below the sensor, and a wall 8 m ahead that rises from it."""
+    world = make_world().add(HalfSpace(), [0, 0, -1], "water").add(Box(1, 100, 50), [8.5, 0, 24], "wall")
+    return world.rays(SurfaceTable(by_pattern={"water": water, "wall": wall}))
+
+
+def fresnel(incidence, n=1.33):
+    """Fresnel's equations for unpolarised light, as sines and tangents of the angles inside and outside [rad]."""
+    inside = np.arcsin(np.sin(incidence) / n)
+    low, high = incidence - inside, incidence + inside
+    return ((np.sin(low) / np.sin(high)) ** 2 + (np.tan(low) / np.tan(high)) ** 2) / 2
+
+
+def test_water_reflects_as_fresnel_says():
+    angle = np.radians(np.arange(1, 90))
+    np.testing.assert_allclose(mirror_share(0.02, 0.98, np.cos(angle)), 0.98 * fresnel(angle), atol=2e-3)
+
+
+@pytest.mark.parametrize("reflectivity", [0.0, 0.02, 0.45, 1.0])
+def test_mirror_share_goes_from_the_reflectivity_to_the_mirrored_share(reflectivity):
+    across = mirror_share(reflectivity, 0.3, np.linspace(0, 1, 1001))
+    assert across[0] == pytest.approx(0.3)
+    assert across[-1] == pytest.approx(0.3 * reflectivity, abs=1e-3)
+    assert np.all((across >= 0) & (across <= 0.3 + 1e-12))
+    assert not mirror_share(reflectivity, 0.0, np.linspace(0, 1, 11)).any()
+
+
+def test_wall_across_water_is_seen_at_its_mirror_image_below_it(make_world):
+    """The image of the plane x = 8 is that plane below the water, with the way of light as the distance."""
+    config = LidarConfig(range_noise=0.0, dropout=0.0, intensity_noise=0.0, detection_range=1e6)
+    mirroring = Surface(lidar_reflectivity=0.02, specular=1.0)  # scatters nothing at all
+    pattern, returns = fire(pond(make_world, water=mirroring), config)
+    p = pattern.p_SR[returns.ray] + returns.distance[:, None] * pattern.d_S[returns.ray].astype(float)
+    np.testing.assert_allclose(p[:, 0], 8, atol=2e-4)
+    ghosts = p[:, 2] < -1
+    with np.errstate(divide="ignore"):
+        height = pattern.p_SR[:, 2] + 8 * pattern.d_S[:, 2] / pattern.d_S[:, 0]
+    ahead = pattern.d_S[:, 0] > 0.2
+    assert set(returns.ray[ghosts]) >= set(np.flatnonzero(ahead & (height < -1 - 1e-4)))
+    assert set(returns.ray[~ghosts]) >= set(np.flatnonzero(ahead & (height > -1 + 1e-4)))
+    assert np.count_nonzero(ghosts) > 1000
+
+    # Intensity: mirrored twice, and what the wall scatters at its own incidence.
+    d = pattern.d_S[returns.ray[ghosts]].astype(float)
+    share = fresnel(np.arccos(-d[:, 2]))
+    np.testing.assert_allclose(returns.intensity[ghosts], share**2 * 0.5 * d[:, 0], rtol=0.01, atol=1e-4)
+
+
+def test_mirror_image_is_detected_by_its_whole_way_and_both_mirrorings(make_world):
+    config = LidarConfig(dropout=0.1, detection_range=40.0)
+    count, angle = 40000, np.radians(80)
+    scene, pattern = pond(make_world), configured_pattern(config)
+    d = np.tile(np.float32([np.sin(angle), 0, -np.cos(angle)]), (count, 1))
+    returns = simulate_returns(np.zeros(3), d, scene, np.random.default_rng(0), config=config, pattern=pattern)
+    distance = 8 / np.sin(angle)
+    back = (0.98 * fresnel(angle)) ** 2 * 0.5 * np.sin(angle)
+    power = back * (40 / distance) ** 2
+    probability = 0.9 * power**3 / (1 + power**3)
+    assert 0.2 < probability < 0.8
+    assert len(returns.ray) / count == pytest.approx(probability, abs=4 * np.sqrt(0.25 / count) + 1e-3)
+    assert returns.distance.mean() == pytest.approx(distance, abs=1e-3)
+    assert returns.distance.std() == pytest.approx(0.008, rel=0.05)
+
+
+def test_surface_that_is_detected_itself_shows_no_mirror_image(make_world):
+    steel = Surface(label="metal", lidar_reflectivity=0.45, specular=0.3)
+    pattern, returns = fire(pond(make_world, water=steel), LidarConfig(dropout=0.0, range_noise=0.0))
+    z = pattern.p_SR[returns.ray, 2] + returns.distance * pattern.d_S[returns.ray, 2]
+    near = returns.ray < 4 * 1800  # rings that meet the floor within 7 m
+    assert np.count_nonzero(near) == 7200
+    np.testing.assert_allclose(z[near], -1, atol=1e-4)
+
+
+def test_without_mirrors_nothing_is_below_the_water(make_world):
+    pattern, returns = fire(pond(make_world), LidarConfig(mirror=False))
+    assert np.all(returns.distance * pattern.d_S[returns.ray, 2] > -1.1)
+    _, with_mirror = fire(pond(make_world), LidarConfig())
+    assert len(with_mirror.ray) > len(returns.ray) + 1000
+    # What is seen directly does not change.
+    common = np.intersect1d(returns.ray, with_mirror.ray, return_indices=True)
+    assert len(common[0]) == len(returns.ray)
+    np.testing.assert_array_equal(returns.distance[common[1]], with_mirror.distance[common[2]])
+    np.testing.assert_array_equal(returns.intensity[common[1]], with_mirror.intensity[common[2]])
+
+
+def test_mirrors_change_nothing_where_there_are_none(make_world):
+    scene = pond(make_world, water=Surface(lidar_reflectivity=0.1))
+    _, off = fire(scene, LidarConfig(mirror=False), seed=4)
+    _, on = fire(scene, LidarConfig(mirror=True), seed=4)
+    for name in ("ray", "distance", "intensity"):
+        np.testing.assert_array_equal(getattr(off, name), getattr(on, name))
+
+
+def test_the_robot_hides_mirror_images(make_world):
+    """A wide board of the robot in front of the wall, above the water: rays that meet it in the mirror are lost."""
+    world = make_world().add(HalfSpace(), [0, 0, -1], "water").add(Box(1, 100, 50), [8.5, 0, 24], "wall")
+    arm = world.frame("arm")
+    surfaces = SurfaceTable(by_pattern={"water": WATER}, default=WALL)
+    scene = world.add(Box(0.1, 100, 0.4), name="board", frame=arm).rays(surfaces)
+    X_WF = {arm: RigidTransform([7.0, 0, -0.5])}
+    pattern, seen = fire(scene, LidarConfig(), X_WF=X_WF)
+    _, own = fire(scene, LidarConfig(), X_WF=X_WF, own_geometry=scene.geometries_of([arm]))
+
+    def ghosts(returns):
+        p = returns.distance[:, None] * pattern.d_S[returns.ray]
+        return np.count_nonzero((p[:, 2] < -1.1) & (np.abs(p[:, 0] - 7) < 0.1)), np.count_nonzero(p[:, 2] < -1.1)
+
+    on_board, everything = ghosts(seen)
+    assert on_board > 100
+    assert ghosts(own) == (0, everything - on_board)
+    # What hides a ray from the water hides the mirror image, too.
+    _, covered = fire(scene, LidarConfig(), own_distance=np.full(pattern.rays, 0.5, np.float32))
+    assert len(covered.ray) == 0
 
 
 def test_range_noise_is_normal_with_its_standard_deviation(make_world):
