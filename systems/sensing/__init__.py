@@ -1,9 +1,14 @@
 """Simulated sensors on SceneGraph geometry, and readers of recorded scans."""
 
 from .body_pose import BodyPose
+from .camera_model import R_OPTICAL, CameraModel
+from .depth_camera import DepthCamera, DepthCameraConfig
 from .deskew import deskew, interpolate_pose
+from .gamma_counter import DoseReading, GammaCounter, GammaCounterConfig
 from .imu import Imu, ImuConfig
 from .lidar import Lidar, LidarConfig
+from .nir_camera import NirCamera, NirCameraConfig
+from .pan_tilt import PanTilt, PanTiltConfig, pan_tilt_pose
 from .pose_files import Poses, associate, read_poses, write_tum
 from .ray_scene import RayHits, RayScene, welded_frames
 from .scan import PointCloud, Scan
@@ -11,14 +16,26 @@ from .scan_files import list_scans, read_scan, write_cloud
 from .scan_pattern import ScanPattern, utm30lx, vlp16
 from .scan_replay import ScanReplay, timed_scan
 from .surfaces import Surface, SurfaceTable
+from .thermal_camera import ThermalCamera, ThermalCameraConfig
 from .track_encoders import TrackEncoders, TrackEncodersConfig
 
 __all__ = [
+    "R_OPTICAL",
     "BodyPose",
+    "CameraModel",
+    "DepthCamera",
+    "DepthCameraConfig",
+    "DoseReading",
+    "GammaCounter",
+    "GammaCounterConfig",
     "Imu",
     "ImuConfig",
     "Lidar",
     "LidarConfig",
+    "NirCamera",
+    "NirCameraConfig",
+    "PanTilt",
+    "PanTiltConfig",
     "PointCloud",
     "Poses",
     "RayHits",
@@ -28,12 +45,15 @@ __all__ = [
     "ScanReplay",
     "Surface",
     "SurfaceTable",
+    "ThermalCamera",
+    "ThermalCameraConfig",
     "TrackEncoders",
     "TrackEncodersConfig",
     "associate",
     "deskew",
     "interpolate_pose",
     "list_scans",
+    "pan_tilt_pose",
     "read_poses",
     "read_scan",
     "timed_scan",

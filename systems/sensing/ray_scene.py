@@ -11,6 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 
 from ..errors import WorldError
+from .solids import inside_lengths, outward_normals
 from .surfaces import SurfaceArrays, SurfaceTable, name_matches, surface_arrays
 from .triangulate import triangulate
 
@@ -39,6 +40,23 @@ class RayHits:
         """Property `name` of `SurfaceArrays` for every ray, (N,): `hits.lookup("temperature")`."""
         # Index -1 means the last entry, as when indexing with it, but three times as fast.
         return getattr(self.surface, name).take(self.geometry, mode="wrap")
+
+
+@dataclass(frozen=True)
+class RaySource:
+    """A geometry that is a radioactive source.
+
+    Attributes:
+        name: of the geometry.
+        frame: its frame F, None where it never moves.
+        p_FQ: centre of its bounding box in F, in W without a frame [m].
+        activity: [MBq].
+    """
+
+    name: str
+    frame: FrameId | None
+    p_FQ: tuple[float, float, float]
+    activity: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +99,7 @@ class RayScene:
         surface: properties of every geometry.
         moving_frames: frames that have geometry and can move.
         triangles: number of triangles.
+        sources: the geometries whose surface has an activity.
     """
 
     def __init__(
@@ -121,6 +140,8 @@ class RayScene:
         self.triangles = 0
         self.frames: list[FrameId] = []
         names: list[str] = []
+        outward: list[np.ndarray] = []
+        centres: list[np.ndarray] = []
         self._static = o3d.t.geometry.RaycastingScene()
         self._moving: dict[FrameId, _MovingFrame] = {}
         for frame in sorted(by_frame, key=lambda f: f not in fixed):
@@ -136,6 +157,8 @@ class RayScene:
                 scene.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles))
                 self.triangles += len(triangles)
                 corners.append(vertices)
+                outward.append(outward_normals(vertices, triangles))
+                centres.append((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
                 names.append(name)
                 self.frames.append(frame)
             if frame not in fixed:
@@ -147,6 +170,18 @@ class RayScene:
         self.names = tuple(names)
         self.moving_frames = tuple(self._moving)
         self.surface = surface_arrays([table.lookup(name) for name in names])
+        # Normals of all triangles, geometry after geometry, and where each geometry's begin.
+        self._outward = np.concatenate(outward)
+        self._first_triangle = np.cumsum([0, *(len(normals) for normals in outward[:-1])])
+        self.sources = tuple(
+            RaySource(
+                names[i],
+                self.frames[i] if self.frames[i] in self._moving else None,
+                (float(centres[i][0]), float(centres[i][1]), float(centres[i][2])),
+                float(self.surface.activity[i]),
+            )
+            for i in np.flatnonzero(self.surface.activity > 0)
+        )
 
     def geometries_of(self, frames: Collection[FrameId]) -> np.ndarray:
         """Which geometries belong to `frames`, (G + 1,) bool, to be indexed by `RayHits.geometry` (-1 gives False)."""
@@ -189,12 +224,71 @@ class RayScene:
         np.minimum(np.abs(incidence_cos, out=incidence_cos), 1, out=incidence_cos)
         return RayHits(distance, geometry, normal_W, incidence_cos, self.surface)
 
+    def attenuation_along(
+        self, p_WA: np.ndarray, p_WB: np.ndarray, X_WF: Mapping[FrameId, RigidTransform] | None = None
+    ) -> np.ndarray:
+        """Optical depth of the straight lines from A to B for gamma rays, (N,).
+
+        The sum of `Surface.attenuation` times the length inside over the solids that a line crosses; where solids
+        overlap, each counts. Surfaces that are not closed, such as a half space, enclose nothing and do not count.
+
+        Args:
+            p_WA: (N, 3) [m]. p_WB: (N, 3), or (3,) for all [m].
+            X_WF: poses of the moving frames. Frames without a pose are not there.
+        """
+        p_WA = np.asarray(p_WA, float)
+        way = np.asarray(p_WB, float) - p_WA
+        length = np.linalg.norm(way, axis=1)
+        d_W = np.divide(way, length[:, None], out=np.tile([0.0, 0.0, 1.0], (len(way), 1)), where=length[:, None] > 0)
+        depth = np.zeros(len(way))
+        if self._has_static:
+            self._add_depth(depth, self._static, 0, p_WA, d_W, length)
+        for frame, X in (X_WF or {}).items():
+            if frame in self._moving:
+                X_FW = X.inverse().GetAsMatrix4()
+                p_FA, d_F = p_WA @ X_FW[:3, :3].T + X_FW[:3, 3], d_W @ X_FW[:3, :3].T
+                self._add_depth(depth, self._moving[frame].scene, self._moving[frame].first_geometry, p_FA, d_F, length)
+        return depth
+
+    def _add_depth(
+        self,
+        depth: np.ndarray,
+        scene: o3d.t.geometry.RaycastingScene,
+        first_geometry: int,
+        p_FA: np.ndarray,
+        d_F: np.ndarray,
+        length: np.ndarray,
+    ) -> None:
+        """Adds to `depth` (N,) that of the solids of one scene, for lines in its frame."""
+        if not len(length):
+            return
+        rays = o3d.core.Tensor.from_numpy(np.hstack([p_FA, d_F]).astype(np.float32))
+        hits = {name: tensor.numpy() for name, tensor in scene.list_intersections(rays, nthreads=self.threads).items()}
+        ray = hits["ray_ids"].astype(int)
+        geometry = hits["geometry_ids"].astype(int) + first_geometry
+        normals = self._outward[self._first_triangle[geometry] + hits["primitive_ids"].astype(int)]
+        outward = np.einsum("ij,ij->i", normals, d_F[ray])
+        ray, geometry, inside = inside_lengths(ray, geometry, hits["t_hit"], outward, length)
+        np.add.at(depth, ray, self.surface.attenuation[geometry] * inside)
+
     def distance_to_surface(self, p_WP: np.ndarray) -> np.ndarray:
         """Unsigned distance from points (N, 3) [m] to the nearest surface that never moves, (N,) float32 [m]."""
         points = np.ascontiguousarray(p_WP, np.float32).reshape(-1, 3)
         if not self._has_static:
             return np.full(len(points), np.inf, np.float32)
         return self._static.compute_distance(o3d.core.Tensor.from_numpy(points), nthreads=self.threads).numpy()
+
+    def nearest_geometry(self, p_WP: np.ndarray) -> np.ndarray:
+        """The geometry that never moves whose surface is nearest to each point (N, 3) [m], (N,) index into `names`.
+
+        Raises:
+            WorldError: there is nothing that never moves.
+        """
+        if not self._has_static:
+            raise WorldError("no geometry that never moves", where="ray scene")
+        points = np.ascontiguousarray(p_WP, np.float32).reshape(-1, 3)
+        found = self._static.compute_closest_points(o3d.core.Tensor.from_numpy(points), nthreads=self.threads)
+        return found["geometry_ids"].numpy().astype(np.int32)
 
     def _cast_scene(self, scene: o3d.t.geometry.RaycastingScene, rays: np.ndarray) -> tuple[np.ndarray, ...]:
         hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=self.threads)

@@ -409,3 +409,104 @@ def test_distance_to_surface_is_that_to_the_nearest_static_point(make_world):
     only_moving = make_world()
     only_moving.add(Sphere(1), frame=only_moving.frame("moving"))
     assert np.isinf(only_moving.rays().distance_to_surface(np.zeros((1, 3)))).all()
+
+
+# --- attenuation ----------------------------------------------------------------------------------------------------
+
+
+def solid(attenuation):
+    return Surface(attenuation=attenuation)
+
+
+def test_depth_of_a_slab_grows_with_the_slant(make_world):
+    scene = make_world().add(Box(0.2, 10, 10), name="slab").rays(SurfaceTable(default=solid(5.0)))
+    starts = np.array([[-1, 0, 0], [-1, 0, 0], [-1, 0.3, 0.2], [-1, 0, 0]])
+    ends = np.array([[1, 0, 0], [1, 2, 0], [1, 1.3, -0.8], [-0.2, 4, 0]])
+    along = np.linalg.norm(ends - starts, axis=1) / np.abs(ends - starts)[:, 0]
+    expected = 5.0 * 0.2 * along
+    expected[3] = 0  # ends before the slab
+    np.testing.assert_allclose(scene.attenuation_along(starts, ends), expected, rtol=1e-5)
+    np.testing.assert_allclose(scene.attenuation_along(ends, starts), expected, rtol=1e-5)
+
+
+def test_depths_of_several_solids_add_up(make_world):
+    world = make_world().add(Box(0.2, 10, 10), [0, 0, 0], "near").add(Box(0.3, 10, 10), [0.25, 0, 0], "touching")
+    world.add(Box(0.1, 10, 10), [3, 0, 0], "far").add(HalfSpace(), [0, 0, -1], "ground")
+    table = SurfaceTable(by_pattern={"near": solid(2), "touching": solid(3), "far": solid(7), "ground": solid(100)})
+    depth = world.rays(table).attenuation_along(np.array([[-1, 0.1, 0.2], [2, 0.1, 0.2], [-1, 0, 5]]), [5, 0.1, 0.2])
+    direct = 0.2 * 2 + 0.3 * 3 + 0.1 * 7
+    slanted = np.linalg.norm([6, 0.1, 4.8]) / 6 * direct
+    np.testing.assert_allclose(depth, [direct, 0.7, slanted], rtol=1e-5)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.1, 0.3, 0.45])
+def test_depth_of_a_cylinder_is_that_of_its_chord(make_world, offset):
+    scene = make_world().add(Cylinder(0.5, 2), name="post").rays(SurfaceTable(default=solid(10)))
+    depth = scene.attenuation_along(np.array([[-2, offset, 0.1]]), np.array([2, offset, 0.1]))
+    np.testing.assert_allclose(depth, [10 * 2 * np.sqrt(0.25 - offset**2)], rtol=8e-3)  # 64 sides
+
+
+def test_line_that_starts_or_ends_inside_a_solid_counts_what_is_inside(make_world):
+    scene = make_world().add(Box(2, 2, 2), name="box").rays(SurfaceTable(default=solid(4)))
+    starts = np.array([[0.3, 0, 0.1], [3, 0, 0.1], [0.2, 0.1, 0.1], [0.5, 0.5, 0.5]])
+    ends = np.array([[3, 0, 0.1], [0.3, 0, 0.1], [0.2, 0.6, 0.1], [0.5, 0.5, 0.5]])
+    np.testing.assert_allclose(scene.attenuation_along(starts, ends), [2.8, 2.8, 2.0, 0.0], rtol=1e-5, atol=1e-6)
+
+
+def test_line_through_edges_and_corners_of_triangles_counts_each_solid_once(make_world):
+    scene = make_world().add(Box(2, 2, 2), name="box").rays(SurfaceTable(default=solid(1)))
+    starts = np.array([[-3, 0, 0], [-3, 0.4, 0.4], [-3, -3, 0], [-2, -2, -2], [-3, 1.0, 0]])
+    ends = np.array([[3, 0, 0], [3, 0.4, 0.4], [3, 3, 0], [2, 2, 2], [3, 1.001, 0]])
+    depth = scene.attenuation_along(starts, ends)
+    np.testing.assert_allclose(depth[:4], [2, 2, np.sqrt(8), np.sqrt(12)], rtol=1e-4)
+    assert 0 <= depth[4] <= 2
+
+
+@pytest.mark.parametrize("file", [obj_file, gltf_file])
+def test_mesh_attenuates_whichever_way_its_triangles_turn(make_world, tmp_path, file):
+    for scale in (2.0, [-2.0, 2.0, 2.0]):
+        scene = make_world().add(Mesh(str(file(tmp_path)), scale), name="mesh").rays(SurfaceTable(default=solid(3)))
+        inside = np.sign(scale if np.isscalar(scale) else scale[0]) * np.array([0.2, 0, 0]) + [0, 0.2, 0.2]
+        if file is gltf_file:
+            inside[1] *= -1
+        below = inside - [0, 0, 1]
+        depth = scene.attenuation_along(below[None], inside)
+        np.testing.assert_allclose(depth, [3 * 0.2], rtol=1e-4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(X_WF=poses, seed=st.integers(0, 100))
+def test_moving_solids_attenuate_as_if_they_were_anchored(make_world, X_WF, seed):
+    moving, anchored = make_world(), make_world()
+    frame = moving.frame("f")
+    moving.add(Box(1, 2, 0.5), [1, 0, 0], "box", frame).add(Sphere(0.4), [0, 0, 1], "ball")
+    anchored.add(Box(1, 2, 0.5), X_WF @ RigidTransform([1, 0, 0]), "box").add(Sphere(0.4), [0, 0, 1], "ball")
+    starts, ends = np.random.default_rng(seed).uniform(-4, 4, (2, 200, 3))
+    depth = moving.rays().attenuation_along(starts, ends, {frame: X_WF})
+    np.testing.assert_allclose(depth, anchored.rays().attenuation_along(starts, ends), atol=1e-3)
+    without = moving.rays().attenuation_along(starts, ends)
+    np.testing.assert_allclose(without, make_ball_alone(make_world).attenuation_along(starts, ends), atol=1e-5)
+
+
+def make_ball_alone(make_world):
+    return make_world().add(Sphere(0.4), [0, 0, 1], "ball").rays()
+
+
+def test_sources_are_the_geometries_with_an_activity(make_world):
+    world = make_world().add(Box(1, 1, 1), [1, 2, 3], "drum")
+    frame = world.frame("cart")
+    world.add(Sphere(0.2), [0, 0, 0.5], "vial", frame).add(Sphere(0.2), [5, 0, 0], "ball")
+    table = SurfaceTable(by_pattern={"drum": Surface(activity=50), "vial": Surface(activity=3)})
+    drum, vial = world.rays(table).sources
+    assert (drum.name, drum.frame, drum.activity) == ("drum", None, 50)
+    assert (vial.name, vial.frame, vial.activity) == ("vial", frame, 3)
+    np.testing.assert_allclose(drum.p_FQ, [1, 2, 3])
+    np.testing.assert_allclose(vial.p_FQ, [0, 0, 0.5], atol=1e-6)
+    assert world.rays().sources == ()
+
+
+def test_the_nearest_geometry_is_that_of_the_nearest_surface(make_world):
+    scene = make_world().add(Box(1, 1, 1), [0, 0, 0], "near").add(Box(1, 1, 1), [4, 0, 0], "far").rays()
+    points = np.array([[0.0, 0, 0.9], [1.9, 0, 0], [2.1, 0, 0], [4, 0, 0.1], [9, 9, 9]])
+    found = [scene.names[i].rpartition("::")[2] for i in scene.nearest_geometry(points)]
+    assert found == ["near", "near", "far", "far", "far"]
