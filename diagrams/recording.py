@@ -10,6 +10,7 @@ from naraha.systems.config import quantity
 from naraha.systems.files import replacing
 from pydrake.geometry import Meshcat, MeshcatParams, Rgba
 
+from .layer_panel import Layer, add_layer_panel
 from .trajectory import Trajectory
 
 # Colours of the trajectories, everywhere.
@@ -55,12 +56,17 @@ def draw_trajectory(meshcat: Meshcat, name: str, trajectory: Trajectory, colour:
         meshcat.SetLine(f"trajectory/{name}", points, width, colour)
 
 
-def write_recording(meshcat: Meshcat, path: Path) -> None:
-    """Ends the recording and writes it as one HTML file that opens without a network."""
+def write_recording(meshcat: Meshcat, path: Path, layers: Sequence[Layer] = ()) -> None:
+    """Ends the recording and writes it as one HTML file that opens without a network.
+
+    Args:
+        layers: what a panel in the page switches; none leaves the page without a panel.
+    """
     meshcat.StopRecording()
     meshcat.PublishRecording()
+    html = meshcat.StaticHtml()
     with replacing(path) as temporary:
-        temporary.write_text(meshcat.StaticHtml())
+        temporary.write_text(add_layer_panel(html, layers) if layers else html, encoding="utf-8")
 
 
 __all__: Sequence[str] = [

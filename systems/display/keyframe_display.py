@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, Rgba
 from pydrake.perception import BaseField, Fields
 from pydrake.perception import PointCloud as DrakePointCloud
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
@@ -12,6 +12,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from ..config import check_config, quantity
 from ..ports import eval_typed
 from ..slam import Keyframe
+from .colours import height_colours
 
 
 @dataclass(kw_only=True)
@@ -28,19 +29,48 @@ class KeyframeDisplayConfig:
     max_height: float = quantity(2.2, unit="m")
 
 
-def height_colours(z: np.ndarray) -> np.ndarray:
-    """Colours from blue at the floor over green to red at 2 m. z: (N,) [m]; returns (3, N) uint8."""
-    t = np.clip(z / 2.0, 0.0, 1.0)
-    rgb = np.stack([np.clip(2 * t - 0.6, 0.1, 1), 0.35 + 0.5 * np.sin(np.pi * t), np.clip(1 - 1.6 * t, 0.1, 1)])
-    return (255 * rgb).astype(np.uint8)
-
-
-def drake_cloud(points: np.ndarray, colours: np.ndarray) -> DrakePointCloud:
-    """A Drake cloud for Meshcat. points: (N, 3) [m]; colours: (3, N) uint8."""
-    cloud = DrakePointCloud(len(points), Fields(BaseField.kXYZs | BaseField.kRGBs))
+def drake_cloud(points: np.ndarray, colours: np.ndarray | None = None) -> DrakePointCloud:
+    """A Drake cloud for Meshcat, half the size without colours. points: (N, 3) [m]; colours: (3, N) uint8."""
+    has = BaseField.kXYZs if colours is None else BaseField.kXYZs | BaseField.kRGBs
+    cloud = DrakePointCloud(len(points), Fields(has))
     cloud.mutable_xyzs()[:] = points.T
-    cloud.mutable_rgbs()[:] = colours
+    if colours is not None:
+        cloud.mutable_rgbs()[:] = colours
     return cloud
+
+
+def points_in_map(keyframe: Keyframe) -> np.ndarray:
+    """Points of a keyframe in M, (N, 3) [m], where its X_MB puts them."""
+    return keyframe.p_BP @ keyframe.X_MB.rotation().matrix().T + keyframe.X_MB.translation()
+
+
+def show_from(
+    meshcat: Meshcat, path: str, cloud: DrakePointCloud, *, size: float, time: float, rgba: Rgba | None = None
+) -> None:
+    """Shows a cloud at `path`; in a recording, from `time` [s] on.
+
+    Args:
+        size: edge length of a point [m].
+        rgba: colour of a cloud without colours, white when not given.
+    """
+    meshcat.SetObject(path, cloud, point_size=size, rgba=rgba or Rgba(1.0, 1.0, 1.0, 1.0))
+    meshcat.SetProperty(path, "visible", False, 0.0)
+    meshcat.SetProperty(path, "visible", True, time)
+
+
+def show_newest_scan(
+    meshcat: Meshcat, keyframe: Keyframe, points: np.ndarray, *, size: float, time: float, before: int
+) -> None:
+    """Shows points (N, 3) [m] of the newest keyframe in white, and hides those of keyframe `before` (-1: none)."""
+    if len(points) > 0:
+        show_from(meshcat, f"scan/{keyframe.index:05}", drake_cloud(points), size=1.5 * size, time=time)
+    hide_scan(meshcat, before, time)
+
+
+def hide_scan(meshcat: Meshcat, index: int, time: float) -> None:
+    """Hides the white points of keyframe `index` (-1: none); in a recording, from `time` [s] on."""
+    if index >= 0:
+        meshcat.SetProperty(f"scan/{index:05}", "visible", False, time)
 
 
 class KeyframeDisplay(LeafSystem):
@@ -71,20 +101,12 @@ class KeyframeDisplay(LeafSystem):
         drawn = int(context.get_discrete_state(self._drawn)[0])
         if keyframe.index == drawn or len(keyframe.p_BP) == 0:
             return
-        R_MB, p_MB = keyframe.X_MB.rotation().matrix(), keyframe.X_MB.translation()
-        p_MP = keyframe.p_BP @ R_MB.T + p_MB
+        p_MP = points_in_map(keyframe)
         p_MP = p_MP[p_MP[:, 2] < self._config.max_height]
         if len(p_MP) > 0:
-            time = context.get_time()
+            time, size = context.get_time(), self._config.point_size
             thin = p_MP[:: -(-len(p_MP) // self._config.points_per_keyframe)]
-            self._show(f"map/{keyframe.index:05}", thin, height_colours(thin[:, 2]), self._config.point_size, time)
-            white = np.full((3, len(thin)), 255, np.uint8)
-            self._show(f"scan/{keyframe.index:05}", thin, white, 1.5 * self._config.point_size, time)
-            if drawn >= 0:
-                self._meshcat.SetProperty(f"scan/{drawn:05}", "visible", False, time)
+            cloud = drake_cloud(thin, height_colours(thin[:, 2]))
+            show_from(self._meshcat, f"map/{keyframe.index:05}", cloud, size=size, time=time)
+            show_newest_scan(self._meshcat, keyframe, thin, size=size, time=time, before=drawn)
         discrete_state.set_value(self._drawn, np.array([float(keyframe.index)]))
-
-    def _show(self, path: str, points: np.ndarray, colours: np.ndarray, size: float, time: float) -> None:
-        self._meshcat.SetObject(path, drake_cloud(points, colours), point_size=size)
-        self._meshcat.SetProperty(path, "visible", False, 0.0)
-        self._meshcat.SetProperty(path, "visible", True, time)
