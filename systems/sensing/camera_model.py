@@ -160,9 +160,18 @@ class CameraModel:
         return np.asfortranarray(self.xy, np.float32)
 
     @cached_property
+    def field_of_view(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest x and y in the plane z = 1 that the image shows, edges of pixels included, (2) each."""
+        u, v = np.linspace(-0.5, self.width - 0.5, 33), np.linspace(-0.5, self.height - 0.5, 33)
+        edges = [np.column_stack(np.broadcast_arrays(u, b)) for b in (-0.5, self.height - 0.5)]
+        edges += [np.column_stack(np.broadcast_arrays(a, v)) for a in (-0.5, self.width - 0.5)]
+        xy = self.undistort(np.vstack(edges))
+        return xy.min(axis=0), xy.max(axis=0)
+
+    @cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        low, high = self.xy.min(axis=0), self.xy.max(axis=0)
-        margin = _MARGIN * (high - low) + 1 / np.array([self.fx, self.fy])
+        low, high = self.field_of_view
+        margin = _MARGIN * (high - low)
         return low - margin, high + margin
 
     def _distort(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
