@@ -88,6 +88,22 @@ def require_usable(scans: list[Path]) -> None:
         raise first
 
 
+def read_truth(truth_file: Path | None, count: int, period: float) -> tuple[np.ndarray, Trajectory | None]:
+    """Times of `count` scans, those of the file if it has any, and their true poses if there is a file.
+
+    Raises:
+        PoseFileError: the file cannot be read or does not fit the scans.
+    """
+    times = np.arange(count) * period
+    if truth_file is None:
+        return times, None
+    recorded = read_poses(truth_file)
+    indices, X_WS = associate(recorded, count, where=truth_file)
+    if recorded.times is not None:
+        times = recorded.times
+    return times, Trajectory(times[indices].tolist(), [RigidTransform(pose) for pose in X_WS])
+
+
 class MapLog(DiagramReader):
     """What the metrics and products are made of, read from the running diagram at every step."""
 
@@ -162,13 +178,7 @@ def map_recorded(folder: Path, truth_file: Path | None, scenario: MapScenario, o
     """
     scans = list_scans(folder)
     require_usable(scans)
-    times, truth = np.arange(len(scans)) * scenario.period, None
-    if truth_file is not None:
-        recorded = read_poses(truth_file)
-        indices, X_WS = associate(recorded, len(scans), where=truth_file)
-        if recorded.times is not None:
-            times = recorded.times
-        truth = Trajectory(times[indices].tolist(), [RigidTransform(pose) for pose in X_WS])
+    times, truth = read_truth(truth_file, len(scans), scenario.period)
     mission = Mission("map", scenario, options)
     meshcat = start_meshcat(scenario.recording, live=options.meshcat) if scenario.recording is not None else None
     diagram = make_mapping(scenario, scans, meshcat)

@@ -45,6 +45,9 @@ class CameraFusionConfig:
     max_views: int = quantity(60, unit="views", low=1)
     # [rad/s] Images taken while pan or tilt turned faster are blurred, and skipped.
     max_pan_tilt_rate: float = quantity(0.1, unit="rad/s", above=0)
+    # Pixels of a "plain" image that differ by more than this from a neighbour are left out: at the edge of something
+    # hot a coarse pixel shows a mean of two surfaces. Null keeps all.
+    max_step: float | None = quantity(None, above=0)
     # [rad] Range of pan and of tilt; an encoder that says anything else is broken.
     pan_tilt_low: list[float] = quantity([-3.15, -1.6], unit="rad")
     pan_tilt_high: list[float] = quantity([3.15, 1.6], unit="rad")
@@ -243,7 +246,7 @@ class CameraFusion(LeafSystem):
             exposure = float(self._eval_vector(context, "exposure")[0])
             values = radiance(pixels, exposure, "CameraFusion.exposure")
         else:
-            values = plain_values(pixels)
+            values = plain_values(pixels, self._config.max_step)
         view = CameraView(time, X_BC, odometry_at(fusion.odometry, time), values)
         if not view.known:
             return _skipped(fusion, "no pixel of the image says anything"), None

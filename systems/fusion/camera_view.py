@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import ImageGrey8U
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..config import quantity
 from ..errors import CameraError, PortError
@@ -91,10 +92,19 @@ def radiance(pixels: np.ndarray, exposure: float, where: str = "exposure") -> np
     return np.where(pixels >= SATURATED, np.float32(np.nan), pixels * scale)
 
 
-def plain_values(pixels: np.ndarray) -> np.ndarray:
-    """An image whose pixels are what points get, float32; NaN where they are not finite."""
+def plain_values(pixels: np.ndarray, max_step: float | None = None) -> np.ndarray:
+    """An image whose pixels are what points get, float32; NaN where they are not finite.
+
+    Args:
+        max_step: pixels that differ by more than this from one of their eight neighbours, in the unit of the image, are
+            NaN, too: they may show two surfaces, and so neither.
+    """
     values = np.array(pixels, np.float32)
     values[~np.isfinite(values)] = np.nan
+    if max_step is not None:
+        highest = maximum_filter(np.nan_to_num(values, nan=-np.inf), 3, mode="nearest")
+        lowest = minimum_filter(np.nan_to_num(values, nan=np.inf), 3, mode="nearest")
+        values[np.maximum(highest - values, values - lowest) > max_step] = np.nan
     return values
 
 

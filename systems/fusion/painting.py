@@ -25,7 +25,7 @@ class PaintConfig:
     min_cos: float = quantity(0.05, unit="-", above=0, high=1)
     # [-] Cosine of incidence of a surface whose normal is not known: the mean over all directions it may face.
     unknown_cos: float = quantity(0.5, unit="-", above=0, high=1)
-    # [-] What a view of a surface with unknown normal counts against the same with a known one; with 0 it is not painted.
+    # [-] What a view of a surface with unknown normal counts against one with a known normal; with 0 it is not painted.
     unknown_weight: float = quantity(0.2, unit="-", low=0, high=1)
     # What hides points from camera and lamp.
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)

@@ -119,8 +119,8 @@ class ShotGrid:
         Each shot is a Bernoulli trial whose chances depend on its distance (see `shot_evidence`). With the sum s of
         their log likelihood ratios and the sum n of their weights, the ratio is s w / (w + n) n / (n + f), w = `worth`
         and f = `few`: as if their mean had been seen at most w times, and less where n is small. Cells with few shots
-        (n < w) borrow from their eight neighbours.
-        Cut to ±`limit`; 0 where nothing was seen and where the point is not finite.
+        (n < w) take in the mean of the cells around them that have any, each as w shots at most. Cut to ±`limit`; 0
+        where nothing was seen and where the point is not finite.
         """
         return self._lookup(self._ratio[None], xy_M)[0]
 
@@ -145,11 +145,18 @@ class ShotGrid:
     def _ratio(self) -> np.ndarray:
         evidence, weight = self._planes[_EVIDENCE], self._planes[_WEIGHT]
         if evidence.size:
-            around = 9 * uniform_filter(self._planes[4:], (0, 3, 3), mode="constant")
-            share = np.clip(1 - weight / self.config.worth, 0, 1)
+            worth = self.config.worth
+            capped = np.minimum(1, worth / np.maximum(weight, 1e-9))
+            shot = weight > 0
+            *around, shots = uniform_filter(
+                np.stack([capped * evidence, capped * weight, shot.astype(np.float32)]), (0, 3, 3), mode="constant"
+            )
+            around /= np.maximum(shots, 1 / 9)
+            # A cell without shots of its own says nothing: it may be hidden, and its neighbours cannot tell.
+            share = np.where(shot, np.clip(1 - weight / worth, 0, 1), 0)
             evidence = evidence + share * (around[0] - evidence)
             weight = weight + share * (around[1] - weight)
-        weight = np.maximum(weight, 1e-9)  # sums of filtered values may be a little below 0
+        weight = np.maximum(weight, 1e-9)  # filtered values may be a little below 0
         ratio = evidence * self.config.worth / (self.config.worth + weight) * weight / (weight + self.config.few)
         return np.clip(ratio, -self.config.limit, self.config.limit)
 

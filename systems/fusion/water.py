@@ -29,9 +29,9 @@ class WaterConfig:
     period: float = quantity(0.1, unit="s", above=0.0)
     # Share of the seen points that are water before anything is known.
     prior: float = quantity(0.1, above=0.0, high=0.5)
-    # Reflectance at 1450 nm below which a point is dark; None chooses it from the points of the floor that were
-    # measured within half of `trust_range`, see `dark_threshold`.
-    threshold: float | None = quantity(0.12, low=0.0)
+    # Reflectance at 1450 nm below which a point is dark, half of that of a concrete floor; None chooses it from the
+    # points of the floor that were measured within half of `trust_range`, see `dark_threshold`.
+    threshold: float | None = quantity(0.16, low=0.0)
     # The chosen threshold is at most this: between two paints on a dry floor is a valley, too.
     threshold_limit: float = quantity(0.2, above=0.0)
     # Width of the change from dark to bright as a share of the threshold.

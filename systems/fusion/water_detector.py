@@ -24,6 +24,9 @@ _HISTORY = 50
 _MIN_STEP = 0.02
 # [m], [rad] A scan during which the pose moved farther is left out: the pose has jumped.
 _MAX_MOTION = 0.5
+# [m], [rad] A robot that stands higher above the lowest place where it stood, or tilted more, is on a step or a ramp:
+# what is below it is not the floor.
+_MAX_RISE, _MAX_TILT = 0.05, 0.05
 # [s] Instants this near to each other are one.
 _CLOCK = 1e-6
 
@@ -67,8 +70,8 @@ class WaterDetector(LeafSystem):
 
     Every `period` it notes the pose and looks at `scan_S`. A new scan that has ended is sorted by `shots_at_floor` and
     added to the grid, once, if the robot has moved since the last one. Where the sensor was when the scan began and
-    ended is interpolated between the notes. The other outputs are computed when they are asked for, and only then is
-    `map_M` evaluated.
+    ended is interpolated between the notes. Scans from a stair or a ramp tell nothing of the floor. The other outputs
+    are computed when they are asked for, and only then is `map_M` evaluated.
 
     - `map_M` (`open3d.t.geometry.PointCloud`): points in M with the attributes `nir`, `nir_range` [m] and `tilt` [rad],
       each NaN where not known; a missing attribute is not known anywhere.
@@ -147,6 +150,9 @@ class WaterDetector(LeafSystem):
                 return seen
         memory = seen.memory.after(distance, step)
         z_floor = float((X_MB1 @ np.array([0, 0, -self._base_height]))[2])
+        lowest = float(np.fmin(seen.z_floor, z_floor))
+        if z_floor > lowest + _MAX_RISE or X_MB1.rotation().matrix()[2, 2] < np.cos(_MAX_TILT):
+            return replace(seen, z_floor=lowest, counted_at=X_MB1, memory=memory)
         X_MS0, X_MS1 = ((X_MB @ self._X_BS).GetAsMatrix4() for X_MB in (X_MB0, X_MB1))
         shots = shots_at_floor(
             self._pattern, distance, X_MS0, X_MS1, z_floor, self._config.shots, memory.hidden(self._config.shots)
@@ -156,7 +162,7 @@ class WaterDetector(LeafSystem):
             shots=seen.shots.add(shots),
             memory=memory,
             counted_at=X_MB1,
-            z_floor=float(np.fmin(seen.z_floor, z_floor)),
+            z_floor=lowest,
         )
 
     @staticmethod

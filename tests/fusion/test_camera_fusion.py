@@ -10,7 +10,7 @@ import open3d as o3d
 import pytest
 from naraha.systems.errors import CameraError, ConfigError, PortError
 from naraha.systems.fusion.camera_fusion import CameraFusion, CameraFusionConfig
-from naraha.systems.fusion.camera_view import CameraView, LampConfig, angles_at, image_values, radiance
+from naraha.systems.fusion.camera_view import CameraView, LampConfig, angles_at, image_values, plain_values, radiance
 from naraha.systems.fusion.layers import with_layers
 from naraha.systems.fusion.painting import Paint, PaintConfig, paint
 from naraha.systems.sensing.camera_model import R_OPTICAL, CameraModel
@@ -440,3 +440,15 @@ def test_the_state_is_shared_and_the_system_can_be_freed(keyframe):
     del rig, held
     gc.collect()
     assert reference() is None
+
+
+def test_pixels_at_the_edge_of_something_hot_say_nothing():
+    image = np.full((5, 7), 20.0, np.float32)
+    image[:, 4:] = 80.0
+    image[0, 0] = np.nan
+    values = plain_values(image, max_step=10.0)
+    assert np.isnan(values[:, 3:5]).all()
+    np.testing.assert_array_equal(values[:, 5:], 80.0)
+    np.testing.assert_array_equal(values[1:, :3], 20.0)
+    assert np.isnan(values[0, 0])
+    np.testing.assert_array_equal(plain_values(image)[1:], image[1:])

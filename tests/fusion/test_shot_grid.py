@@ -48,11 +48,13 @@ def test_many_shots_at_one_place_count_as_a_few():
     assert sure.log_likelihood_ratio([[0.05, 0.05]])[0] == CONFIG.limit
 
 
-def test_a_cell_without_shots_borrows_from_its_neighbours_only():
-    grid = ShotGrid(CONFIG).add(uniform_shots([[0.05, 0.05]] * 100, 1.0))
-    ratio = grid.log_likelihood_ratio([[0.15, -0.05], [0.25, 0.05]])
-    assert ratio[0] > 1
-    assert ratio[1] == 0
+def test_a_cell_with_few_shots_takes_in_its_neighbours_and_one_without_says_nothing():
+    ground = [[x, y] for x in (0.05, 0.15, 0.25) for y in (0.05, 0.15, 0.25) if (x, y) != (0.15, 0.15)]
+    grid = ShotGrid(CONFIG).add(uniform_shots(np.repeat(ground, 100, axis=0), -1.0))
+    assert grid.log_likelihood_ratio([[0.15, 0.15]])[0] == 0
+    alone = ShotGrid(CONFIG).add(uniform_shots([[0.15, 0.15]], 1.0)).log_likelihood_ratio([[0.15, 0.15]])[0]
+    among = grid.add(uniform_shots([[0.15, 0.15]], 1.0)).log_likelihood_ratio([[0.15, 0.15]])[0]
+    assert alone > 0 > among > grid.log_likelihood_ratio([ground[0]])[0]
 
 
 @settings(max_examples=25, deadline=None)

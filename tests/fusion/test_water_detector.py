@@ -11,7 +11,7 @@ from naraha.systems.ports import weak_method
 from naraha.systems.sensing import Scan
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
@@ -126,6 +126,17 @@ def test_a_robot_that_stands_still_counts_one_scan(scans):
     _, output = drive([no_scan(), *still], lambda time: base_pose(0.0), seconds=3.0)
     _, once = drive([no_scan(), *still[:1]], lambda time: base_pose(0.0), seconds=3.0)
     assert output("shots").counts([[1.0, 0.5]])[0, HIT] == once("shots").counts([[1.0, 0.5]])[0, HIT] > 0
+
+
+@pytest.mark.parametrize("place", [RigidTransform([0, 0, 0.3]), RigidTransform(RollPitchYaw(0, -0.3, 0), [0, 0, 0])])
+def test_a_robot_on_a_step_or_a_ramp_says_nothing_of_the_floor(scans, place):
+    def poses(time):
+        return base_pose(time) @ (RigidTransform() if time < 1.05 else place)
+
+    _, output = drive(scans[:41], poses, seconds=4.0)
+    _, before = drive(scans[:11], seconds=4.0)
+    assert output("shots").tiles.keys() == before("shots").tiles.keys()
+    assert all((output("shots").tiles[key] == tile).all() for key, tile in before("shots").tiles.items())
 
 
 @pytest.mark.parametrize("fault", ["nan pose", "jump", "stale scan", "no rings", "no scan"])
