@@ -19,6 +19,7 @@ app = typer.Typer(
 Settings = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change one scenario value.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for what the mission leaves.")]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of all noise; the same seed, the same result.")]
+Earlier = Annotated[Path | None, typer.Option("--earlier", metavar="DIR", help="A survey to bring up to date.")]
 Live = Annotated[bool, typer.Option("--meshcat/--no-meshcat", help="Watch the run in a browser.")]
 Rate = Annotated[float, typer.Option("--realtime-rate", min=0.0, help="Simulated seconds a second; 0: no limit.")]
 
@@ -41,6 +42,9 @@ def naraha(
 @app.command()
 def survey(
     scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stair_hall",
+    earlier: Annotated[
+        Path | None, typer.Option("--earlier", metavar="DIR", help="A survey to bring up to date.")
+    ] = None,
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -54,7 +58,10 @@ def survey(
     from .survey import survey as run
 
     options = Options(out=out or Path("out/survey"), meshcat=meshcat, realtime_rate=realtime_rate)
-    raise typer.Exit(run(load_scenario(SurveyScenario, scenario, settings or (), seed), options))
+    loaded = load_scenario(SurveyScenario, scenario, settings or (), seed)
+    if earlier is not None:
+        loaded.earlier = str(earlier)
+    raise typer.Exit(run(loaded, options))
 
 
 @app.command("map")
@@ -75,6 +82,46 @@ def map_scans(
 
     options = Options(out=out or Path("out/map"), meshcat=meshcat, realtime_rate=realtime_rate)
     raise typer.Exit(map_recorded(scans, truth, load_scenario(MapScenario, scenario, settings or (), seed), options))
+
+
+@app.command()
+def merge(
+    scans: Annotated[Path, typer.Argument(help="A folder of .ply, .pcd, .bin or .npz scans, one a viewpoint.")],
+    scenario: Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")] = "viewpoints",
+    truth: Annotated[Path | None, typer.Option("--truth", help="Poses (TUM or KITTI form), to compare with.")] = None,
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Join scans from a handful of viewpoints metres apart, without odometry."""
+    from .merging import MergeScenario, merge_recorded
+    from .mission import Options
+    from .scenario import load_scenario
+
+    options = Options(out=out or Path("out/merge"), meshcat=meshcat, realtime_rate=realtime_rate)
+    loaded = load_scenario(MergeScenario, scenario, settings or (), seed)
+    raise typer.Exit(merge_recorded(scans, truth, loaded, options))
+
+
+@app.command()
+def extrinsics(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "extrinsics",
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Find where the near-infrared camera sits in its head, from one sweep."""
+    from .extrinsics import ExtrinsicsScenario
+    from .extrinsics import extrinsics as run
+    from .mission import Options
+    from .scenario import load_scenario
+
+    options = Options(out=out or Path("out/extrinsics"), meshcat=meshcat, realtime_rate=realtime_rate)
+    raise typer.Exit(run(load_scenario(ExtrinsicsScenario, scenario, settings or (), seed), options))
 
 
 def main() -> None:

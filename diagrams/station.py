@@ -1,6 +1,5 @@
 """The station: a robot with its driver and sensors in a world, as one diagram."""
 
-import zlib
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,7 +25,12 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, Multibody
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.lcm import LcmBuses
 
+from .seeds import sensor_seed
+from .sensor_head import HeadConfig, apply_head
 from .wiring import connect, subsystem
+
+# Beams start inside these housings, which are transparent to them.
+TRANSPARENT = ["robot::lidar_visual_*", "robot::mast_visual_*"]
 
 
 @dataclass(kw_only=True)
@@ -71,11 +75,8 @@ class StationConfig:
     )
     lidar: LidarConfig | None = field(default_factory=LidarConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
-
-
-def sensor_seed(seed: int, name: str) -> int:
-    """A seed for the part `name` that differs between parts and repeats with `seed`."""
-    return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
+    # Cameras and gamma counter on the mast; null leaves them out.
+    head: HeadConfig | None = None
 
 
 def shipped_robots() -> dict[str, str]:
@@ -93,9 +94,10 @@ def make_station(config: StationConfig, *, seed: int, meshcat: Meshcat | None = 
 
     Inputs: `twist_command` (2), `flipper_preset` (str); the driver's configuration may add or replace some.
     Outputs: `scan_S` (with a LiDAR), `rpy` (3), `gyro` (3), `accelerometer` (3), `track_displacements` (2),
-    `track_speeds` (2), `flipper_angles` (4), `active_preset` (str), and for metrics only `cheat.X_WB`.
+    `track_speeds` (2), `flipper_angles` (4), `active_preset` (str), those of the head (see `apply_head`), and for
+    metrics only `cheat.X_WB`.
 
-    Subsystems: `plant`, `scene_graph`, `robot.driver`, `imu`, `lidar`, `truth`.
+    Subsystems: `plant`, `scene_graph`, `robot.driver`, `imu`, `lidar`, `truth`, and those of the head.
 
     Raises:
         ScenarioError, WorldError, ConfigError: unknown robot or world, no ground below the start, values out of range.
@@ -118,8 +120,14 @@ def make_station(config: StationConfig, *, seed: int, meshcat: Meshcat | None = 
     driver = builder.GetSubsystemByName("robot.driver")
     _apply_imu(config, plant, builder, seed)
     connect(builder, builder.GetSubsystemByName("imu"), "rpy", driver)
-    if config.lidar is not None:
-        _apply_lidar(config.lidar, world, plant, builder, seed)
+    if config.lidar is not None or config.head is not None:
+        scene_graph: Any = builder.GetSubsystemByName("scene_graph")
+        surfaces = world.surface_table()
+        scene = RayScene(scene_graph.model_inspector(), surfaces, exclude=TRANSPARENT, threads=0)
+        if config.lidar is not None:
+            _apply_lidar(config.lidar, scene, plant, builder, seed)
+        if config.head is not None:
+            apply_head(config.head, scene, plant, builder, seed=seed)
     _apply_truth(plant, builder)
     if meshcat is not None:
         parameters = MeshcatVisualizerParams(publish_period=0.1, prefix="station")
@@ -176,12 +184,11 @@ def _apply_imu(config: StationConfig, plant: MultibodyPlant, builder: DiagramBui
         builder.ExportOutput(imu.GetOutputPort(name), name)
 
 
-def _apply_lidar(config: LidarConfig, world: World, plant: MultibodyPlant, builder: DiagramBuilder, seed: int) -> None:
-    scene_graph: Any = builder.GetSubsystemByName("scene_graph")
+def _apply_lidar(
+    config: LidarConfig, scene: RayScene, plant: MultibodyPlant, builder: DiagramBuilder, seed: int
+) -> None:
     body = plant.GetBodyByName("lidar", plant.GetModelInstanceByName("robot"))
     robot = plant.GetBodyIndices(plant.GetModelInstanceByName("robot"))
-    # The beams start inside the LiDAR's housing, which is transparent to them.
-    scene = RayScene(scene_graph.model_inspector(), world.surface_table(), exclude=["robot::lidar_visual_*"], threads=0)
     lidar = Lidar(
         config,
         scene=scene,
@@ -192,7 +199,7 @@ def _apply_lidar(config: LidarConfig, world: World, plant: MultibodyPlant, build
         seed=sensor_seed(seed, "lidar"),
     )
     builder.AddNamedSystem("lidar", lidar)
-    connect(builder, scene_graph, "query", lidar, "geometry_query")
+    connect(builder, builder.GetSubsystemByName("scene_graph"), "query", lidar, "geometry_query")
     builder.ExportOutput(lidar.GetOutputPort("scan_S"), "scan_S")
 
 
@@ -218,10 +225,10 @@ def _check_ground(config: StationConfig, station: Diagram) -> None:
     )
 
 
-def X_BS(station: System) -> RigidTransform:
-    """Pose of the LiDAR's frame S in the robot's base B."""
+def X_B(station: System, name: str) -> RigidTransform:
+    """Pose in the robot's base B of a frame of its model, such as `lidar` (S) or `depth_camera` (D)."""
     plant = subsystem(station, "plant")
     robot = plant.GetModelInstanceByName("robot")
     context = plant.CreateDefaultContext()
-    base, lidar = plant.GetBodyByName("base", robot), plant.GetBodyByName("lidar", robot)
-    return plant.CalcRelativeTransform(context, base.body_frame(), lidar.body_frame())
+    base, frame = plant.GetFrameByName("base", robot), plant.GetFrameByName(name, robot)
+    return plant.CalcRelativeTransform(context, base, frame)

@@ -39,14 +39,14 @@ def in_survey(name: str, meshcat: bool = False) -> Example:
     return lambda seed: find(make_survey(short_survey(seed), Meshcat() if meshcat else None), name)
 
 
-def replay(seed: int) -> tuple[System, LeafSystem]:
+def in_mapping(name: str, seed: int, meshcat: Meshcat | None = None) -> tuple[System, LeafSystem]:
     folder = Path(tempfile.gettempdir()) / f"naraha-replay-{os.getpid()}-{seed}"  # skipped scans are named in an output
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(seed)
     for i in range(6):
         write_cloud(folder / f"{i}.ply", PointCloud(rng.uniform(-3, 3, (500, 3)).astype(np.float32)))
     (folder / "3.ply").write_text("not a scan")
-    return find(make_mapping(MapScenario(), sorted(folder.iterdir())), "ScanReplay")
+    return find(make_mapping(MapScenario(), sorted(folder.iterdir()), meshcat), name)
 
 
 EXAMPLES: dict[str, Example] = {
@@ -54,19 +54,32 @@ EXAMPLES: dict[str, Example] = {
         name: in_survey(name)
         for name in (
             "BodyPose",
+            "CameraFusion",
+            "DepthCamera",
+            "DoseMapper",
             "FlipperDriver",
             "FlipperRule",
+            "GammaCounter",
+            "HeatDetector",
             "Imu",
             "KanayamaTracking",
+            "KeyframeAssembler",
             "Lidar",
+            "NirCamera",
             "Odometry6Dof",
+            "PanTilt",
+            "PanTiltSweep",
             "ScanMatcher",
+            "SemanticMap",
             "SurveyMap",
+            "ThermalCamera",
             "TrackDriver",
             "TrackEncoders",
+            "WaterDetector",
             "WaypointTour",
         )
     },
-    "KeyframeDisplay": in_survey("KeyframeDisplay", meshcat=True),
-    "ScanReplay": replay,
+    "KeyframeDisplay": lambda seed: in_mapping("KeyframeDisplay", seed, Meshcat()),
+    "ScanReplay": lambda seed: in_mapping("ScanReplay", seed),
+    "SemanticDisplay": in_survey("SemanticDisplay", meshcat=True),
 }

@@ -12,6 +12,7 @@ import yaml
 from open3d.t.geometry import PointCloud
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
+from pydrake.systems.sensors import ImageDepth32F, ImageGrey8U
 
 from tests.examples import EXAMPLES
 
@@ -20,7 +21,8 @@ def all_systems() -> list[type[LeafSystem]]:
     found = {}
     for module in pkgutil.walk_packages(naraha.systems.__path__, "naraha.systems."):
         for _, cls in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
-            if issubclass(cls, LeafSystem) and cls.__module__ == module.name:
+            public = cls.__module__ == module.name and not cls.__name__.startswith("_")  # others are bases of these
+            if issubclass(cls, LeafSystem) and public:
                 found[cls.__name__] = cls
     return list(found.values())
 
@@ -47,6 +49,8 @@ def fingerprint(value):
         return {name: tensor.numpy().tobytes() for name, tensor in value.point.items()}
     if isinstance(value, (tuple, list)):
         return [fingerprint(item) for item in value]
+    if isinstance(value, (ImageDepth32F, ImageGrey8U)):
+        return value.data.tobytes()
     if hasattr(value, "__dataclass_fields__"):
         return {name: fingerprint(getattr(value, name)) for name in value.__dataclass_fields__}
     if type(value).__name__ == "BusValue":

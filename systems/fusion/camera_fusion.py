@@ -15,6 +15,7 @@ from ..ports import eval_typed, weak_method
 from ..sensing.camera_model import CameraModel
 from ..sensing.pan_tilt import pan_tilt_pose
 from ..slam.keyframe import NO_KEYFRAME, Keyframe
+from ..slam.motion import distance_and_angle
 from ..slam.scan_matcher import History, odometry_at
 from .camera_view import Angles, CameraView, LampConfig, angles_at, image_values, plain_values, radiance
 from .layers import with_layers
@@ -43,6 +44,9 @@ class CameraFusionConfig:
     # [s], [views] How long and how many images are remembered, to paint the next keyframe with.
     memory: float = quantity(8.0, unit="s", low=0)
     max_views: int = quantity(60, unit="views", low=1)
+    # [deg] Images taken before or after a larger turn of the robot do not paint a keyframe: in a turn, tracks tell little
+    # of where the robot goes.
+    max_turn_deg: float = quantity(10.0, unit="deg", low=0, high=180)
     # [rad/s] Images taken while pan or tilt turned faster are blurred, and skipped.
     max_pan_tilt_rate: float = quantity(0.1, unit="rad/s", above=0)
     # Pixels of a "plain" image that differ by more than this from a neighbour are left out: at the edge of something
@@ -258,6 +262,9 @@ class CameraFusion(LeafSystem):
         """The state with a view added to the paint of the keyframe."""
         keyframe, health = fusion.received, fusion.health
         X_OB = keyframe.X_OB or odometry_at(fusion.odometry, keyframe.time)
+        turn = np.rad2deg(distance_and_angle(X_OB.inverse() @ view.X_OB)[1])
+        if turn > self._config.max_turn_deg:
+            return replace(fusion, health=replace(health, reason=f"the robot turned by {turn:.0f} deg in between"))
         normals = keyframe.cloud_B.point.normals.numpy() if "normals" in keyframe.cloud_B.point else None
         added = paint(
             keyframe.p_BP, normals, X_OB, view, self._camera, self._config.paint, lamp=self._lamp, before=fusion.paint

@@ -1,7 +1,24 @@
 """Motion during a sweep at constant twist: where the sensor was in between, and scans with that motion taken out."""
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """Rotation vector (3) [rad] of a rotation matrix (3, 3), at most π long.
+
+    SciPy's own takes ten times as long for a single matrix; it is asked only near half a turn, where the axis cannot be
+    read off the antisymmetric part.
+    """
+    # sin θ k and cos θ of R = cos θ I + sin θ [k] + (1 − cos θ) k kᵀ.
+    x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
+    sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
+    if cosine < -0.99:
+        return Rotation.from_matrix(R).as_rotvec()
+    scale = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
+    return np.array([x * scale, y * scale, z * scale])
 
 
 def relative_twist(X_AB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -16,7 +33,7 @@ def relative_twist(X_AB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Rotation vector φ (3) [rad], θ = |φ| at most π, and translational part v (3) [m].
     """
-    rotation = Rotation.from_matrix(X_AB[:3, :3]).as_rotvec()
+    rotation = rotation_vector(X_AB[:3, :3])
     p_AB = X_AB[:3, 3]
     angle = np.linalg.norm(rotation)
     x, y, z = rotation

@@ -2,9 +2,8 @@
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from scipy.spatial.transform import Rotation
 
-from ..sensing import interpolate_pose
+from ..sensing.deskew import interpolate_pose, rotation_vector
 
 
 def scale_motion(X_AB: RigidTransform, s: float) -> RigidTransform:
@@ -20,5 +19,5 @@ def interpolate(X_WA: RigidTransform, X_WB: RigidTransform, s: float) -> RigidTr
 
 def distance_and_angle(X_AB: RigidTransform) -> tuple[float, float]:
     """Length of the translation [m] and angle of the rotation [rad] of a motion."""
-    angle = Rotation.from_matrix(X_AB.rotation().matrix()).magnitude()
+    angle = np.linalg.norm(rotation_vector(X_AB.rotation().matrix()))
     return float(np.linalg.norm(X_AB.translation())), float(angle)

@@ -20,6 +20,8 @@ REFERENCES = ("local_map", "previous_keyframe")
 GUESSES = ("constant_velocity", "none")
 # Without odometry a gap in the scans is bridged with the last velocity for at most this many times the last step.
 _MAX_EXTRAPOLATION = 3.0
+# A robot that moves less than this during a scan stands still [m], [rad].
+_REST_DISTANCE, _REST_ANGLE = 0.002, 0.002
 
 
 @dataclass(kw_only=True)
@@ -45,6 +47,10 @@ class ScanMatcherConfig:
     # below it are not registered, because registration is what costs; without odometry, all are, and all are keyframes.
     keyframe_distance: float = quantity(0.5, unit="m", low=0)
     keyframe_angle_deg: float = quantity(15.0, unit="deg", low=0)
+    # [m], [deg] With odometry, a robot that has come to rest after a smaller motion than that, but larger than this, is
+    # registered once more: tracks say little of a turn, and what cameras see at rest is laid on that keyframe.
+    rest_distance: float = quantity(0.03, unit="m", low=0)
+    rest_angle_deg: float = quantity(1.0, unit="deg", low=0)
     # [m] Keyframe clouds are thinned to this grid.
     keyframe_voxel: float = quantity(0.1, unit="m", above=0)
     # [m] Points nearer than `min_range` are the robot itself, points beyond `max_range` are not trusted.
@@ -123,7 +129,10 @@ def track_scan(
     if track.target is None:
         first = Registration(guess, 1.0, 0.0, usable, 1.0, True, "")
         return _accept(track, scan, prepare_cloud(scan, X_BS, X_BB0, config), first, X_OB, config)
-    if X_OB is not None and not _moved(track.tried_at, X_OB, config):
+    sweep = scan.end_time > scan.start_time
+    if X_OB is not None and not (
+        _moved(track.tried_at, X_OB, config) or (sweep and _came_to_rest(track, X_OB, X_BB0, config))
+    ):
         return replace(track, health=replace(track.health, scans_used=track.health.scans_used + 1))
     cloud_B = prepare_cloud(scan, X_BS, X_BB0, config)
     result = _register(track, cloud_B, guess, config, with_odometry=X_OB is not None)
@@ -195,6 +204,15 @@ def _predicted_step(track: Track, time: float) -> RigidTransform:
 def _moved(X_AB: RigidTransform, X_AC: RigidTransform, config: ScanMatcherConfig) -> bool:
     distance, angle = distance_and_angle(X_AB.inverse() @ X_AC)
     return distance >= config.keyframe_distance or angle >= np.deg2rad(config.keyframe_angle_deg)
+
+
+def _came_to_rest(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> bool:
+    """Whether the robot stood still during the scan, but has moved since the last attempt."""
+    distance, angle = distance_and_angle(X_BB0)
+    if distance > _REST_DISTANCE or angle > _REST_ANGLE:
+        return False
+    distance, angle = distance_and_angle(track.tried_at.inverse() @ X_OB)
+    return distance >= config.rest_distance or angle >= np.deg2rad(config.rest_angle_deg)
 
 
 def _register(

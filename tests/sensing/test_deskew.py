@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from naraha.systems.sensing import deskew, interpolate_pose
-from naraha.systems.sensing.deskew import relative_twist
+from naraha.systems.sensing.deskew import relative_twist, rotation_vector
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -73,3 +73,13 @@ def test_deskew_of_no_points_gives_none():
     X_S0S1 = np.eye(4)
     X_S0S1[0, 3] = 1
     assert deskew(np.zeros((0, 3)), np.zeros(0), X_S0S1).shape == (0, 3)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(0, 1) | st.sampled_from([1e-12, 1e-8, 1e-4]))
+def test_a_rotation_vector_gives_its_rotation(axis, share):
+    axis = np.array(axis)
+    if np.linalg.norm(axis) < 1e-3:
+        axis = np.array([0.0, 0.0, 1.0])
+    R = Rotation.from_rotvec(np.pi * share * axis / np.linalg.norm(axis)).as_matrix()
+    np.testing.assert_allclose(Rotation.from_rotvec(rotation_vector(R)).as_matrix(), R, atol=1e-9)
+    assert np.linalg.norm(rotation_vector(R)) <= np.pi + 1e-9

@@ -91,6 +91,22 @@ def test_a_turn_in_place_makes_keyframes_too():
     assert sorted({track.keyframe.index for track in tracks}) == [0, 2, 4, 6, 8]
 
 
+@pytest.mark.parametrize(("turn", "expected"), [(0.1, 2), (0.01, 1)])
+def test_a_robot_that_comes_to_rest_after_a_small_motion_makes_one_more_keyframe(turn, expected):
+    """It turns for five scans and stands for five more; the whole turn is below `keyframe_angle_deg`."""
+    yaws = [0.0, *np.linspace(0, turn, 6), *[turn] * 5]
+    X_OB = [pose(-1.5, -1.0, 0.3, yaw=yaw) for yaw in yaws]
+    track, made = Track(X_OB[0], X_OB=X_OB[0]), []
+    for i in range(1, len(yaws)):
+        scan = replace(scan_at(X_OB[i], i), start_time=PERIOD * (i - 1))
+        track = track_scan(track, scan, X_BS, ScanMatcherConfig(), (X_OB[i - 1], X_OB[i]))
+        made.append(track.keyframe.index)
+    assert len(set(made)) == expected
+    if expected == 2:
+        assert made[-1] == 7  # the first scan during which it stood still
+        assert track.keyframe.health > 0.5
+
+
 def test_the_first_scan_is_placed_where_odometry_says():
     X_WB = path(3)
     track = Track(X_WB[0], X_OB=pose(5.0, 0.0, 0.0))

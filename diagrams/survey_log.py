@@ -1,0 +1,171 @@
+"""What a survey's metrics and products are made of, gathered while it runs."""
+
+from pathlib import Path
+
+import numpy as np
+from naraha.models.worlds import World
+from naraha.systems.fusion import SeenSpace, keyframe_rays, read_survey, seen_space
+from naraha.systems.fusion.classes import HEAT, WATER
+from naraha.systems.fusion.water import cloud_attribute, cloud_points
+from naraha.systems.sensing import RayScene
+from naraha.systems.slam import Keyframe, map_error, rebuild_map, trajectory_error
+from open3d.t.geometry import PointCloud
+from pydrake.systems.framework import Context, Diagram
+
+from .change_metrics import View, change_metrics
+from .mission import Ending
+from .scenario import load_scenario
+from .semantic_metrics import dose_metrics, intersection_over_union, true_classes, water_metrics
+from .station import TRANSPARENT, X_B, station_world
+from .survey_scenario import SurveyScenario
+from .trajectory import Trajectory
+from .wiring import DiagramReader, subsystem
+
+
+class SurveyLog(DiagramReader):
+    """What a survey's metrics and products are made of, read from the running diagram at every step."""
+
+    def __init__(self, scenario: SurveyScenario, diagram: Diagram):
+        super().__init__(diagram)
+        self._scenario = scenario
+        sources = {
+            "truth": "station.cheat.X_WB",
+            "estimate": "slam.X_MB",
+            "odometry": "odometry.X_OB",
+            "baseline": "baseline.X_MB",
+        }
+        self._sources = {name: port for name, port in sources.items() if diagram.HasOutputPort(port)}
+        self.trajectories = {name: Trajectory() for name in self._sources}
+        self._last_waypoint = (0.0, 0.0)
+
+    def step(self, context: Context) -> Ending | None:
+        """Appends the poses of now, and says whether the survey is over."""
+        self.context, time = context, context.get_time()
+        for name, port in self._sources.items():
+            self.trajectories[name].append(time, self.read(port))
+        reached = float(self.read("tour.waypoints_reached")[0])
+        if reached > self._last_waypoint[0]:
+            self._last_waypoint = (reached, time)
+        rpy = self.read("station.rpy")
+        count = len(self._scenario.tour.waypoints)
+        if self.read("tour.done")[0] > 0:
+            return Ending("done", f"all {count} waypoints are reached")
+        if np.cos(rpy[0]) * np.cos(rpy[1]) < np.cos(self._scenario.tip_over_angle):
+            return Ending("failed", f"the robot tipped over at {time:.1f} s")
+        if time - self._last_waypoint[1] > self._scenario.patience:
+            return Ending("failed", f"stuck on the way to waypoint {int(reached) + 1} of {count} since {time:.0f} s")
+        return None
+
+    def status_line(self, context: Context) -> str:
+        health = self.read("slam.health")
+        return f"waypoint {int(self.read('tour.waypoints_reached')[0]) + 1}, {health.scans_used} keyframes"
+
+    @property
+    def semantic(self) -> bool:
+        """Whether there is a semantic map."""
+        return self.diagram.HasOutputPort("semantic_map.semantic_M")
+
+    @property
+    def updated(self) -> bool:
+        """Whether an earlier survey is brought up to date."""
+        return self.diagram.HasOutputPort("update.updated_map_M")
+
+    def map_M(self) -> PointCloud:
+        """The survey map, that of an earlier survey updated if there is one, with classes where there are any."""
+        if self.semantic:
+            cloud: PointCloud = self.read("semantic_map.semantic_M")
+            return cloud
+        return self.read("update.updated_map_M") if self.updated else self._new_map()
+
+    def seen_space(self) -> SeenSpace:
+        """The space that this and earlier surveys saw free."""
+        return self.read("update.seen_space") if self.updated else self._new_seen()
+
+    def _new_map(self) -> PointCloud:
+        cloud: PointCloud = self.read("survey_map.map_M")
+        return cloud
+
+    def _new_seen(self) -> SeenSpace:
+        p_BS = X_B(subsystem(self.diagram, "station"), "lidar").translation()
+        return seen_space([keyframe_rays(k, p_BS) for k in self.keyframes()], self._scenario.update.seen)
+
+    def keyframes(self) -> tuple[Keyframe, ...]:
+        return self.read("survey_map.keyframes")
+
+    def metrics(self) -> dict[str, float]:
+        """Errors against the truth of all trajectories and of the maps that are built on them (row S0-g)."""
+        scenario, truth, keyframes = self._scenario, self.trajectories["truth"], self.keyframes()
+        health = self.read("slam.health")
+        metrics: dict[str, float] = {
+            "waypoints": len(scenario.tour.waypoints),
+            "waypoints_reached": int(self._last_waypoint[0]),
+            "path_length_m": truth.length(),
+            "scans": int(self.read("station.scan_S").index) + 1 if scenario.lidar is not None else 0,
+            "keyframes": len(keyframes),
+            "scans_skipped": health.scans_skipped,
+        }
+        voxel = scenario.survey_map.voxel_size
+        times = [keyframe.time for keyframe in keyframes]
+        true_map = rebuild_map(keyframes, [truth.at(t) for t in times], voxel)
+        surfaces = self._true_surfaces()
+        for prefix, name in (("", "estimate"), ("odometry_", "odometry"), ("baseline_", "baseline")):
+            if name not in self.trajectories:
+                continue
+            trajectory = self.trajectories[name]
+            mean, largest = trajectory_error(
+                trajectory.times, trajectory.matrices(), truth.times, truth.matrices(), align="none"
+            )
+            metrics[f"{prefix}trajectory_error_mean_m"] = mean
+            metrics[f"{prefix}trajectory_error_max_m"] = largest
+            if keyframes:
+                poses = [k.X_MB for k in keyframes] if name == "estimate" else [trajectory.at(t) for t in times]
+                points = rebuild_map(keyframes, poses, voxel).point.positions.numpy()
+                metrics[f"{prefix}map_error_m"] = map_error(points, true_map.point.positions.numpy())
+                metrics[f"{prefix}map_surface_error_m"] = float(surfaces.distance_to_surface(points).mean())
+        return metrics
+
+    def semantic_metrics(self) -> dict[str, float]:
+        """What was found of water, heat and radiation, against what is there (S0-b to S0-d)."""
+        fusion, head = self._scenario.fusion, self._scenario.head
+        if not self.semantic or fusion is None or head is None:
+            return {}
+        world, scene, cloud, field = self._world(), self._true_surfaces(), self.map_M(), self.read("dose.dose_field")
+        points, keyframes = cloud_points(cloud), self.keyframes()
+        poses = [self.trajectories["truth"].at(keyframe.time) for keyframe in keyframes]
+        station = subsystem(self.diagram, "station")
+        true = true_classes(
+            points,
+            keyframes,
+            poses,
+            scene,
+            p_BS=X_B(station, "lidar").translation(),
+            p_BD=X_B(station, "depth_camera").translation(),
+            voxel=self._scenario.survey_map.voxel_size,
+        )
+        hot = true[HEAT.name]
+        seen = np.isfinite(cloud_attribute(cloud, "temperature"))
+        label = cloud_attribute(cloud, "label")
+        return {
+            **water_metrics(world, cloud, true[WATER.name], self.read("water.shots"), fusion.water),
+            "hot_spots": len(self.read("heat.hot_spots")),
+            "heat_points": int((hot & seen).sum()),
+            "heat_iou": intersection_over_union(label[seen] == HEAT.id, hot[seen]),
+            **dose_metrics(scene, field, points, head.gamma_counter.background),
+        }
+
+    def change_metrics(self) -> dict[str, float]:
+        """What was found to have changed since the earlier survey, against what has (S0-d)."""
+        if not self.updated:
+            return {}
+        folder = Path(self._scenario.earlier)
+        before, earlier = load_scenario(SurveyScenario, str(folder / "scenario.yaml")), read_survey(folder)
+        worlds = station_world(before, before.seed), self._world()
+        views = View(cloud_points(earlier.map_M), earlier.seen), View(cloud_points(self._new_map()), self._new_seen())
+        return change_metrics(worlds, views, self.read("update.summary"), self.read("update.changes"))
+
+    def _world(self) -> World:
+        return station_world(self._scenario, self._scenario.seed)
+
+    def _true_surfaces(self) -> RayScene:
+        inspector = subsystem(self.diagram, "station", "scene_graph").model_inspector()
+        return RayScene(inspector, self._world().surface_table(), exclude=TRANSPARENT, threads=0)
