@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from naraha.models.worlds import Solid, World
-from naraha.systems.fusion import ChangedObject, SeenSpace, UpdateSummary
+from naraha.systems.changes import ChangedObject, SeenSpace, UpdateSummary
+from naraha.systems.slam.voxel_cloud import transform_points
 
 # A point this near to a solid is on it [m]; a solid with this many points in a map was seen.
 NEAR, ENOUGH = 0.15, 15
@@ -31,7 +32,7 @@ def box_distance(solid: Solid, points: np.ndarray) -> np.ndarray:
     size = solid.box or [2 * (solid.cylinder or solid.sphere)[0]] * 2 + [
         (solid.cylinder or [0, 2 * solid.sphere[0]])[1]
     ]
-    local = solid.X_WG().inverse().multiply(np.asarray(points, float).T).T
+    local = transform_points(solid.X_WG().inverse().GetAsMatrix4(), np.asarray(points, float))
     return np.linalg.norm(np.maximum(np.abs(local) - np.array(size) / 2, 0), axis=1)
 
 

@@ -3,9 +3,10 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from naraha.systems.calibration import ExtrinsicCalibrator, ExtrinsicCalibratorConfig
 from naraha.systems.config import quantity
 from naraha.systems.errors import ConfigError
-from naraha.systems.fusion import ExtrinsicCalibrator, ExtrinsicCalibratorConfig, PanTiltSweep, SweepConfig
+from naraha.systems.fusion import PanTiltSweep, SweepConfig
 from naraha.systems.sensing import R_OPTICAL
 from naraha.systems.slam.motion import distance_and_angle
 from pydrake.common.value import AbstractValue

@@ -3,20 +3,21 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from naraha.systems.dose import DoseMapper, DoseMapperConfig
 from naraha.systems.fusion import (
     CameraFusion,
     CameraFusionConfig,
-    DoseMapper,
-    DoseMapperConfig,
-    HeatConfig,
-    HeatDetector,
     KeyframeAssembler,
     KeyframeAssemblerConfig,
     LampConfig,
     PanTiltSweep,
+    SweepConfig,
+)
+from naraha.systems.hazards import (
+    HeatConfig,
+    HeatDetector,
     SemanticMap,
     SemanticMapConfig,
-    SweepConfig,
     WaterConfig,
     WaterDetector,
 )

@@ -14,7 +14,7 @@ from html import escape
 
 from naraha.systems.display import POINT_LAYERS, ColourScale, layer_path
 from naraha.systems.errors import InputError
-from naraha.systems.fusion.classes import CLASSES, HEAT, SOURCE, WATER, SemanticClass
+from naraha.systems.hazards.classes import CLASSES, HEAT, SOURCE, WATER, SemanticClass
 from pydrake.geometry import Rgba
 
 from .layer_panel_page import SCRIPT, STYLE

@@ -7,9 +7,9 @@ import numpy as np
 from naraha.systems.config import quantity
 from naraha.systems.display.keyframe_display import drake_cloud, height_colours
 from naraha.systems.errors import InputError
-from naraha.systems.fusion.viewpoint_merger import MergeResult, ViewpointMerger, ViewpointMergerConfig
 from naraha.systems.sensing import ScanReplay, list_scans, write_cloud, write_tum
 from naraha.systems.slam.motion import distance_and_angle
+from naraha.systems.viewpoints.viewpoint_merger import MergeResult, ViewpointMerger, ViewpointMergerConfig
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator

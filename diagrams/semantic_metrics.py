@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import open3d as o3d
 from naraha.models.worlds import Solid, World
-from naraha.systems.fusion.classes import HEAT, WATER
-from naraha.systems.fusion.dose_field import DoseField
-from naraha.systems.fusion.regions import Region
-from naraha.systems.fusion.shot_grid import ShotGrid
-from naraha.systems.fusion.water import (
+from naraha.systems.dose.dose_field import DoseField
+from naraha.systems.hazards.classes import HEAT, WATER
+from naraha.systems.hazards.regions import Region
+from naraha.systems.hazards.shot_grid import ShotGrid
+from naraha.systems.hazards.water import (
     FILTERS,
     WaterConfig,
     cloud_attribute,
@@ -20,6 +20,7 @@ from naraha.systems.fusion.water import (
 from naraha.systems.sensing import RayScene
 from naraha.systems.sensing.gamma_counter import source_dose_rate
 from naraha.systems.slam import Keyframe, VoxelCloud
+from naraha.systems.slam.voxel_cloud import transform_points
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 from scipy.spatial import KDTree
@@ -40,7 +41,7 @@ def in_plan(solid: Solid, points: np.ndarray) -> np.ndarray:
     """Which points (N, 2) or (N, 3) are over or under an upright solid, (N,) bool."""
     p_MP = np.zeros((len(points), 3))
     p_MP[:, :2] = points[:, :2]
-    p_G = solid.X_WG().inverse().multiply(p_MP.T).T
+    p_G = transform_points(solid.X_WG().inverse().GetAsMatrix4(), p_MP)
     if solid.cylinder:
         return np.hypot(p_G[:, 0], p_G[:, 1]) <= solid.cylinder[0]
     return (np.abs(p_G[:, 0]) <= solid.box[0] / 2) & (np.abs(p_G[:, 1]) <= solid.box[1] / 2)
@@ -69,9 +70,9 @@ def true_classes(
 ) -> dict[str, np.ndarray]:
     """Whether most measurements in each map point were made of water, of something hot, (N,) bool by name.
 
-    What a measurement was made of is told by its ray, from where the sensor truly was. So errors of the path, which move
-    the map, and of the distance do not count as errors of the class. A measurement far from what its ray meets, such as
-    a mirror image, was made of neither.
+    What a measurement was made of is told by its ray, from where the sensor truly was. So errors of the path, which
+    move the map, and of the distance do not count as errors of the class. A measurement far from what its ray meets,
+    such as a mirror image, was made of neither.
 
     Args:
         points: of the map (N, 3) [m].
@@ -87,7 +88,7 @@ def true_classes(
         way = keyframe.p_BP - start
         distance = np.linalg.norm(way, axis=1)
         d_W = (way / distance[:, None]) @ X_WB.rotation().matrix().T
-        hits = scene.cast(X_WB.multiply(start.T).T.reshape(-1, 3), d_W)
+        hits = scene.cast(transform_points(X_WB.GetAsMatrix4(), start), d_W)
         near = np.abs(hits.distance - distance) < NOISE[0] + NOISE[1] * distance
         label = np.array([*scene.surface.labels, ""])[hits.lookup("label_id")]
         cloud = PointCloud(keyframe.cloud_B.point.positions)
@@ -135,7 +136,8 @@ def dose_metrics(scene: RayScene, field: DoseField, points: np.ndarray, backgrou
     for source in scene.sources:
         p_WQ = np.array(source.p_FQ)
         distance = np.linalg.norm(near - p_WQ, axis=1)
-        true += source_dose_rate(source.activity, distance, scene.attenuation_along(near, p_WQ))
+        depth = scene.attenuation_along(near, p_WQ)
+        true += source_dose_rate(np.array(source.activity), distance, depth)
     metrics: dict[str, float] = {"sources": len(scene.sources), "sources_found": len(field.sources)}
     if field.sources and scene.sources:
         places = np.array([source.p_FQ for source in scene.sources])

@@ -1,6 +1,7 @@
 """The head on the crawler's mast: cameras, pan-tilt and gamma counter, as parts of the station."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from naraha.systems.sensing import (
     DepthCamera,
@@ -48,7 +49,7 @@ def apply_head(
     robot = plant.GetModelInstanceByName("robot")
     mast = plant.GetBodyByName("mast", robot)
     scene_graph = builder.GetSubsystemByName("scene_graph")
-    place = {
+    place: dict[str, Any] = {
         "scene": scene,
         "parent_frame": plant.GetBodyFrameIdOrThrow(mast.index()),
         "rigid_frames": welded_frames(plant, mast),

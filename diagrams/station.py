@@ -1,7 +1,6 @@
 """The station: a robot with its driver and sensors in a world, as one diagram."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from naraha.models import MODELS_DIR
@@ -121,9 +120,7 @@ def make_station(config: StationConfig, *, seed: int, meshcat: Meshcat | None = 
     _apply_imu(config, plant, builder, seed)
     connect(builder, builder.GetSubsystemByName("imu"), "rpy", driver)
     if config.lidar is not None or config.head is not None:
-        scene_graph: Any = builder.GetSubsystemByName("scene_graph")
-        surfaces = world.surface_table()
-        scene = RayScene(scene_graph.model_inspector(), surfaces, exclude=TRANSPARENT, threads=0)
+        scene = RayScene(scene_graph.model_inspector(), world.surface_table(), exclude=TRANSPARENT, threads=0)
         if config.lidar is not None:
             _apply_lidar(config.lidar, scene, plant, builder, seed)
         if config.head is not None:

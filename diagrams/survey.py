@@ -4,16 +4,16 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from naraha.systems.changes import ChangedObject, SurveyUpdate, read_survey, write_seen
 from naraha.systems.display import SemanticDisplay
 from naraha.systems.errors import ConfigError
 from naraha.systems.files import replacing
-from naraha.systems.fusion import ChangedObject, SurveyUpdate, read_survey, write_seen
 from naraha.systems.sensing import write_cloud, write_tum
 from naraha.systems.slam import Odometry6Dof, ScanMatcher, SurveyMap
 from naraha.systems.tracking import KanayamaTracking, WaypointTour
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from .fusion import add_detectors, add_fusion
 from .mission import Mission, Options
@@ -35,7 +35,8 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     X_WB0 = scenario.robot.X_WB()
     check_flippers(scenario)
 
-    station = builder.AddSystem(make_station(scenario, seed=scenario.seed, meshcat=meshcat))
+    station = make_station(scenario, seed=scenario.seed, meshcat=meshcat)
+    builder.AddSystem(station)
     X_BS = X_B(station, "lidar")
     odometry = builder.AddNamedSystem("odometry", Odometry6Dof(scenario.odometry, X_OB0=X_WB0))
     slam = builder.AddNamedSystem("slam", ScanMatcher(scenario.slam, X_BS=X_BS, X_MB0=X_WB0))
@@ -47,7 +48,7 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     connect(builder, station, "rpy", odometry)
     connect(builder, station, "scan_S", slam)
     connect(builder, odometry, "X_OB", slam)
-    map_source = (survey_map, "map_M")
+    map_source: tuple[System, str] = (survey_map, "map_M")
     if scenario.earlier:
         earlier = read_survey(scenario.earlier)
         update = SurveyUpdate(earlier, scenario.update, p_BS=X_BS.translation())
@@ -55,9 +56,11 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
         connect(builder, survey_map, "keyframes", update)
     mapped = slam
     if scenario.fusion is not None and scenario.head is not None:
-        parts = {"station": station, "slam": slam}
-        mapped = add_fusion(builder, scenario.fusion, scenario, odometry=odometry, **parts)
-        add_detectors(builder, scenario.fusion, scenario, survey_map=survey_map, map_source=map_source, **parts)
+        fusion = scenario.fusion
+        mapped = add_fusion(builder, fusion, scenario, station=station, odometry=odometry, slam=slam)
+        add_detectors(
+            builder, fusion, scenario, station=station, slam=slam, survey_map=survey_map, map_source=map_source
+        )
     connect(builder, mapped, "keyframe", survey_map)
     connect(builder, slam, "X_MB", tour)
     connect(builder, slam, "X_MB", tracking)

@@ -1,7 +1,7 @@
 """The end of a survey in Meshcat: paths, classes, puddles, hot spots and dose rate over what grew on the way."""
 
 from naraha.systems.display import draw_classes, draw_dose, draw_regions, draw_source
-from naraha.systems.fusion.classes import HEAT, WATER
+from naraha.systems.hazards.classes import HEAT, WATER
 from pydrake.geometry import Meshcat
 
 from .layer_panel import Layer, survey_layers

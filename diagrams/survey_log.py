@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 from naraha.models.worlds import World
-from naraha.systems.fusion import SeenSpace, keyframe_rays, read_survey, seen_space
-from naraha.systems.fusion.classes import HEAT, WATER
-from naraha.systems.fusion.water import cloud_attribute, cloud_points
+from naraha.systems.changes import SeenSpace, keyframe_rays, make_seen_space, read_survey
+from naraha.systems.hazards.classes import HEAT, WATER
+from naraha.systems.hazards.water import cloud_attribute, cloud_points
 from naraha.systems.sensing import RayScene
 from naraha.systems.slam import Keyframe, map_error, rebuild_map, trajectory_error
 from open3d.t.geometry import PointCloud
@@ -87,7 +87,7 @@ class SurveyLog(DiagramReader):
 
     def _new_seen(self) -> SeenSpace:
         p_BS = X_B(subsystem(self.diagram, "station"), "lidar").translation()
-        return seen_space([keyframe_rays(k, p_BS) for k in self.keyframes()], self._scenario.update.seen)
+        return make_seen_space([keyframe_rays(k, p_BS) for k in self.keyframes()], self._scenario.update.seen)
 
     def keyframes(self) -> tuple[Keyframe, ...]:
         return self.read("survey_map.keyframes")

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
+from naraha.systems.changes import SurveyUpdateConfig
 from naraha.systems.config import quantity
 from naraha.systems.display import SemanticDisplayConfig
-from naraha.systems.fusion import SurveyUpdateConfig
 from naraha.systems.slam import OdometryConfig, ScanMatcherConfig, SurveyMapConfig
 from naraha.systems.tracking import KanayamaConfig, TourConfig
 

@@ -12,7 +12,7 @@ from pydrake.geometry import Ellipsoid, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
 from ..errors import InputError
-from ..fusion.classes import CLASSES, OTHER, SOURCE
+from ..hazards.classes import CLASSES, OTHER, SOURCE
 from .colours import DOSE_RATE, ColourScale, for_meshcat
 from .keyframe_display import drake_cloud
 from .semantic_display import layer_path, thin, values_of

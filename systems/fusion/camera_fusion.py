@@ -44,8 +44,8 @@ class CameraFusionConfig:
     # [s], [views] How long and how many images are remembered, to paint the next keyframe with.
     memory: float = quantity(8.0, unit="s", low=0)
     max_views: int = quantity(60, unit="views", low=1)
-    # [deg] Images taken before or after a larger turn of the robot do not paint a keyframe: in a turn, tracks tell little
-    # of where the robot goes.
+    # [deg] Images taken before or after a larger turn of the robot do not paint a keyframe: in a turn, tracks tell
+    # little of where the robot goes.
     max_turn_deg: float = quantity(10.0, unit="deg", low=0, high=180)
     # [rad/s] Images taken while pan or tilt turned faster are blurred, and skipped.
     max_pan_tilt_rate: float = quantity(0.1, unit="rad/s", above=0)

@@ -10,7 +10,7 @@ from naraha.diagrams.layer_panel import Key, Layer, add_layer_panel, survey_laye
 from naraha.diagrams.recording import ESTIMATE, RecordingConfig, start_meshcat, write_recording
 from naraha.systems.display import DOSE_RATE, NIR, POINT_LAYERS, drake_cloud
 from naraha.systems.errors import InputError
-from naraha.systems.fusion.classes import CLASSES
+from naraha.systems.hazards.classes import CLASSES
 from pydrake.geometry import Meshcat
 
 PAGE = "<html><body><script>var viewer = new MeshCat.Viewer(pane); // </body>\n</script></body></html>"

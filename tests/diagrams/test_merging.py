@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from naraha.systems.sensing import read_poses, read_scan, write_cloud, write_tum
 
-from tests.fusion.viewpoints import box_room, cloud_of
+from tests.viewpoints.viewpoints import box_room, cloud_of
 
 PRODUCTS = ["metrics.json", "recording.html", "scenario.yaml", "survey_map.ply", "trajectory.txt"]
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from naraha.systems.display import colours
 from naraha.systems.display.colours import PALETTES, UNKNOWN, ColourScale, for_meshcat, height_colours
 from naraha.systems.errors import ConfigError, InputError
-from naraha.systems.fusion.classes import CLASSES, class_colours, class_named
+from naraha.systems.hazards.classes import CLASSES, class_colours, class_named
 
 SCALES = [colours.HEIGHT, colours.INTENSITY, colours.NIR, colours.TEMPERATURE, colours.DOSE_RATE]
 

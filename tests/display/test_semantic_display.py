@@ -16,7 +16,7 @@ from naraha.systems.display import (
 )
 from naraha.systems.display.map_display import decades, ribbon
 from naraha.systems.errors import ConfigError, InputError, PortError
-from naraha.systems.fusion.classes import HEAT, OTHER, WATER
+from naraha.systems.hazards.classes import HEAT, OTHER, WATER
 from naraha.systems.slam import Keyframe
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue

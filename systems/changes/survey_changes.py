@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..config import quantity
+from ..hazards.regions import group_points
 from ..slam.registration import RegistrationConfig, estimate_normals
-from .regions import group_points
 from .seen_space import SeenSpace
 from .sight import Rays, SeenSpaceConfig, look_again
 

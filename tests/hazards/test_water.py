@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naraha.systems.errors import InputError
-from naraha.systems.fusion.shot_grid import MISSING, ShotConfig, ShotGrid, Shots
-from naraha.systems.fusion.water import FILTERS, WaterConfig, find_puddles, water_probability
+from naraha.systems.hazards.shot_grid import MISSING, ShotConfig, ShotGrid, Shots
+from naraha.systems.hazards.water import FILTERS, WaterConfig, find_puddles, water_probability
 
 WATER, FLOOR = 0.02, 0.35
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naraha.systems.errors import ConfigError, PortError
-from naraha.systems.fusion.heat import HeatConfig, HeatDetector, ambient_temperature, heat_probability, hot_regions
+from naraha.systems.hazards.heat import HeatConfig, HeatDetector, ambient_temperature, heat_probability, hot_regions
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue
 

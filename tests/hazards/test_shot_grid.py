@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naraha.systems.fusion.shot_grid import MISSING, ShotConfig, ShotGrid, Shots, shot_evidence
+from naraha.systems.hazards.shot_grid import MISSING, ShotConfig, ShotGrid, Shots, shot_evidence
 
 CONFIG = ShotConfig()
 

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
+from naraha.systems.calibration.edge_calibration import EdgeCalibrationConfig
+from naraha.systems.calibration.extrinsic_calibrator import ExtrinsicCalibrator, ExtrinsicCalibratorConfig
+from naraha.systems.calibration.pose_fit import change_between, changed
 from naraha.systems.errors import CameraError, ConfigError, PortError
-from naraha.systems.fusion.edge_calibration import EdgeCalibrationConfig
-from naraha.systems.fusion.extrinsic_calibrator import ExtrinsicCalibrator, ExtrinsicCalibratorConfig
-from naraha.systems.fusion.pose_fit import change_between, changed
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import ImageDepth32F, ImageGrey8U
 
-from tests.fusion.calibration_world import DEPTH, NIR, THERMAL, X_DN, Room, small_change, thermal_views
+from tests.calibration.calibration_world import DEPTH, NIR, THERMAL, X_DN, Room, small_change, thermal_views
 
 FLAT = np.full(THERMAL.shape, 20.0, np.float32)
 PERIOD = 0.2

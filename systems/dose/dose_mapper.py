@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from ..config import check_config, quantity
 from ..ports import eval_typed, weak_method
 from ..sensing.gamma_counter import DoseReading
-from .dose import DoseConfig, estimate_dose
+from .dose_estimate import DoseConfig, estimate_dose
 from .dose_field import DoseField, DoseReadings
 
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from naraha.systems.calibration.calibration import CalibrationConfig, calibrate_from_correspondences, pixel_errors
+from naraha.systems.calibration.calibration import _checked_pairs as checked_pairs
+from naraha.systems.calibration.pose_fit import change_between, changed, head_rotations
 from naraha.systems.errors import CameraError, ConfigError
-from naraha.systems.fusion.calibration import CalibrationConfig, calibrate_from_correspondences, pixel_errors
-from naraha.systems.fusion.calibration import _checked_pairs as checked_pairs
-from naraha.systems.fusion.pose_fit import change_between, changed, head_rotations
 from naraha.systems.sensing.camera_model import CameraModel
 from pydrake.math import RigidTransform, RollPitchYaw
 

@@ -5,12 +5,12 @@ from itertools import combinations
 import numpy as np
 import open3d as o3d
 import pytest
-from naraha.systems.fusion.joint_registration import register_jointly
-from naraha.systems.fusion.place_search import PlaceSearchConfig, find_pose, search_place
-from naraha.systems.fusion.viewpoint import Viewpoint
+from naraha.systems.viewpoints.joint_registration import register_jointly
+from naraha.systems.viewpoints.place_search import PlaceSearchConfig, find_pose, search_place
+from naraha.systems.viewpoints.viewpoint import Viewpoint
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from tests.fusion.viewpoints import box_room, cloud_of, errors, take_views
+from tests.viewpoints.viewpoints import box_room, cloud_of, errors, take_views
 
 icp = o3d.pipelines.registration
 

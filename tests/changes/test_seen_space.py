@@ -1,9 +1,9 @@
 import numpy as np
 import open3d as o3d
 import pytest
+from naraha.systems.changes.seen_space import SeenSpace, free_voxels, make_seen_space, read_seen, voxel_keys, write_seen
+from naraha.systems.changes.sight import Rays, SeenSpaceConfig, keyframe_rays, look_again
 from naraha.systems.errors import ScanFileError
-from naraha.systems.fusion.seen_space import SeenSpace, free_voxels, read_seen, seen_space, voxel_keys, write_seen
-from naraha.systems.fusion.sight import Rays, SeenSpaceConfig, keyframe_rays, look_again
 from naraha.systems.slam import Keyframe
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
@@ -43,17 +43,17 @@ def test_free_voxels_are_the_same_however_large_the_grid(monkeypatch):
 
 
 def test_space_behind_a_hit_and_beside_the_rays_is_unseen():
-    seen = seen_space([fan(wall())])
+    seen = make_seen_space([fan(wall())])
     at = np.array([[4.0, 0, 1], [4.97, 0, 1], [5.5, 0, 1], [3.0, 2.0, 1], [np.nan, 0, 0]])
     np.testing.assert_array_equal(seen.views_at(at), [1, 0, 0, 0, 0])
 
 
 def test_seen_space_remembers_how_often_and_when_last():
-    first = seen_space([fan(wall(), 3.0), fan(wall(4.0), 9.0)], survey=0)
+    first = make_seen_space([fan(wall(), 3.0), fan(wall(4.0), 9.0)], survey=0)
     near, far = np.array([[2.0, 0, 1]]), np.array([[4.5, 0, 1]])
     assert first.views_at(near) == 2
     assert first.views_at(far) == 1
-    both = first.merge(seen_space([fan(wall(4.0), 1.0)], survey=1))
+    both = first.merge(make_seen_space([fan(wall(4.0), 1.0)], survey=1))
     at = dict(zip(both.keys.tolist(), zip(both.survey.tolist(), both.time.tolist(), strict=True), strict=True))
     assert both.views_at(near) == 3
     assert at[int(voxel_keys(near, 0.1)[0])] == (1, 1.0)
@@ -61,10 +61,10 @@ def test_seen_space_remembers_how_often_and_when_last():
 
 
 def test_no_rays_and_rays_that_are_not_finite_free_nothing():
-    assert len(seen_space([]).keys) == 0
+    assert len(make_seen_space([]).keys) == 0
     assert len(free_voxels(fan([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, 1.0]]))) == 0
-    assert seen_space([]).merge(seen_space([fan(wall())])).volume > 0
-    assert seen_space([]).views_at(ORIGIN[None]) == 0
+    assert make_seen_space([]).merge(make_seen_space([fan(wall())])).volume > 0
+    assert make_seen_space([]).views_at(ORIGIN[None]) == 0
 
 
 def test_a_point_is_hit_seen_through_hidden_or_out_of_view():
@@ -103,7 +103,7 @@ def test_points_of_another_sensor_are_no_rays():
 
 
 def test_seen_space_survives_its_file(tmp_path):
-    seen = seen_space([fan(wall(), 3.5), fan(-wall(), 4.0)], survey=2)
+    seen = make_seen_space([fan(wall(), 3.5), fan(-wall(), 4.0)], survey=2)
     write_seen(tmp_path / "survey_seen.npz", seen)
     again = read_seen(tmp_path / "survey_seen.npz")
     assert again.voxel_size == seen.voxel_size
@@ -113,7 +113,7 @@ def test_seen_space_survives_its_file(tmp_path):
 
 
 def test_a_seen_file_that_cannot_be_used_is_named(tmp_path):
-    good = seen_space([fan(wall())])
+    good = make_seen_space([fan(wall())])
     path = tmp_path / "survey_seen.npz"
     with pytest.raises(ScanFileError, match=r"survey_seen.npz: no such file"):
         read_seen(path)

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 from naraha.models.worlds import load_world
+from naraha.models.worlds.stair_hall import FREE_WAY
+from naraha.systems.dose.dose_estimate import DoseConfig, estimate_dose
+from naraha.systems.dose.dose_field import DoseReadings
+from naraha.systems.dose.voxel_shadow import VoxelShadow
 from naraha.systems.errors import ConfigError, InputError
-from naraha.systems.fusion.dose import DoseConfig, estimate_dose
-from naraha.systems.fusion.dose_field import DoseReadings
-from naraha.systems.fusion.voxel_shadow import VoxelShadow
 from naraha.systems.sensing import RayScene, welded_frames
 from naraha.systems.sensing.gamma_counter import GAMMA_CS137, counts_from_uniform, source_dose_rate
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 PERIOD, BACKGROUND, SENSITIVITY, DEAD_TIME = 0.5, 0.1, 1000.0, 5e-6
-TOUR = [(-8, -5), (-2, -5.2), (4, -4.6), (7.2, -2), (7.2, 3), (2.4, 3), (-5.6, 3), (-8.2, 0.5), (-8, -5)]
+TOUR = FREE_WAY.tolist()
 ROUND = [(-4, -3), (4, -3), (4, 3), (-4, 3), (-4, -3)]
 
 

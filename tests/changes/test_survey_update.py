@@ -6,11 +6,10 @@ import numpy as np
 import open3d as o3d
 import pytest
 from naraha.models.worlds import World, load_world
-from naraha.systems.errors import ConfigError, PortError, ScanFileError
-from naraha.systems.fusion.seen_space import seen_space, write_seen
-from naraha.systems.fusion.sight import keyframe_rays
-from naraha.systems.fusion.survey_changes import APPEARED, CHANGES, FILLED_IN, NOT_SEEN_AGAIN, UNCHANGED, VANISHED
-from naraha.systems.fusion.survey_update import (
+from naraha.systems.changes.seen_space import make_seen_space, write_seen
+from naraha.systems.changes.sight import keyframe_rays
+from naraha.systems.changes.survey_changes import APPEARED, CHANGES, FILLED_IN, NOT_SEEN_AGAIN, UNCHANGED, VANISHED
+from naraha.systems.changes.survey_update import (
     SurveyUpdate,
     SurveyUpdateConfig,
     align_to_earlier,
@@ -18,13 +17,14 @@ from naraha.systems.fusion.survey_update import (
     read_survey,
     update_survey,
 )
+from naraha.systems.errors import ConfigError, PortError, ScanFileError
 from naraha.systems.sensing import write_cloud
 from naraha.systems.slam import Keyframe, VoxelCloud
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from tests.fusion.changed_hall import P_BS, box_distance, changed_hall, near_free, scan_tour, score, tour
+from tests.changes.changed_hall import P_BS, box_distance, changed_hall, near_free, scan_tour, score, tour
 
 SLIP = RigidTransform(RollPitchYaw(0, 0, np.deg2rad(1.5)), [0.15, -0.1, 0.03])
 
@@ -34,7 +34,9 @@ def survey_of(keyframes, survey=0):
     voxels = VoxelCloud(0.1)
     for keyframe in keyframes:
         voxels = voxels.insert(keyframe.cloud_B, keyframe.X_MB.GetAsMatrix4())
-    return earlier_survey(voxels.to_cloud(), seen_space([keyframe_rays(k, P_BS) for k in keyframes], survey=survey))
+    return earlier_survey(
+        voxels.to_cloud(), make_seen_space([keyframe_rays(k, P_BS) for k in keyframes], survey=survey)
+    )
 
 
 def column(cloud, name):
@@ -225,7 +227,7 @@ def test_the_system_says_what_the_function_says_and_computes_it_once(hall, monke
         calls.append(len(args[1]))
         return update_survey(*args)
 
-    monkeypatch.setattr("naraha.systems.fusion.survey_update.update_survey", counted)
+    monkeypatch.setattr("naraha.systems.changes.survey_update.update_survey", counted)
     system = SurveyUpdate(survey_of(before.keyframes), p_BS=P_BS)
     context = system.CreateDefaultContext()
     port = system.GetInputPort("keyframes")

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from naraha.models.worlds import Solid, World
 from naraha.models.worlds.stair_hall import FREE_WAY, LANDING_X, STAIR_Y, clearance
-from naraha.systems.fusion.seen_space import free_voxels, voxel_keys
-from naraha.systems.fusion.sight import Rays, SeenSpaceConfig
+from naraha.systems.changes.seen_space import free_voxels, voxel_keys
+from naraha.systems.changes.sight import Rays, SeenSpaceConfig
 from naraha.systems.noise import generator_at
 from naraha.systems.sensing import LidarConfig, RayScene, welded_frames
 from naraha.systems.sensing.lidar import configured_pattern, make_cloud, simulate_returns, sweep_rays

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
+from naraha.systems.calibration.edge_calibration import CalibrationView, EdgeCalibrationConfig, calibrate_from_views
+from naraha.systems.calibration.edge_points import image_edges, space_edges
+from naraha.systems.calibration.pose_fit import change_between, changed
 from naraha.systems.errors import CameraError, ConfigError
-from naraha.systems.fusion.edge_calibration import CalibrationView, EdgeCalibrationConfig, calibrate_from_views
-from naraha.systems.fusion.edge_points import image_edges, space_edges
-from naraha.systems.fusion.pose_fit import change_between, changed
 from naraha.systems.sensing.camera_model import CameraModel
 from pydrake.math import RigidTransform
 
-from tests.fusion.calibration_world import (
+from tests.calibration.calibration_world import (
     DEPTH,
     NIR,
     THERMAL,

@@ -4,20 +4,20 @@ import numpy as np
 import open3d as o3d
 import pytest
 from naraha.systems.errors import PortError
-from naraha.systems.fusion.lidar_water import (
+from naraha.systems.hazards.lidar_water import (
     RayMemory,
     below_floor,
     floor_height,
     ray_distances,
     shots_at_floor,
 )
-from naraha.systems.fusion.shot_grid import BLOCKED, HIT, MIRROR, MISSING, ShotConfig, ShotGrid
+from naraha.systems.hazards.shot_grid import BLOCKED, HIT, MIRROR, MISSING, ShotConfig, ShotGrid
 from naraha.systems.sensing import Scan
 from naraha.systems.sensing.lidar import sweep_rays
 from open3d.t.geometry import PointCloud
 from pydrake.geometry import Box
 
-from tests.fusion.pool_hall import MAT, PATTERN, POOL, hall_scene, scan_between, sensor_pose
+from tests.hazards.pool_hall import MAT, PATTERN, POOL, hall_scene, scan_between, sensor_pose
 from tests.sensing.conftest import ShapeWorld
 
 CONFIG = ShotConfig()

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naraha.systems.errors import InputError
-from naraha.systems.fusion.brightness import attribute_classes, dark_threshold
-from naraha.systems.fusion.lidar_water import floor_height
-from naraha.systems.fusion.water import WaterConfig, water_probability
+from naraha.systems.hazards.brightness import attribute_classes, dark_threshold
+from naraha.systems.hazards.lidar_water import floor_height
+from naraha.systems.hazards.water import WaterConfig, water_probability
 
 
 def floor_and_water(count, seed=0):

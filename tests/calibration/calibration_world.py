@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from naraha.systems.fusion.edge_calibration import CalibrationView
-from naraha.systems.fusion.pose_fit import changed, head_rotations
+from naraha.systems.calibration.edge_calibration import CalibrationView
+from naraha.systems.calibration.pose_fit import changed, head_rotations
 from naraha.systems.sensing import RayScene, Surface, SurfaceTable
 from naraha.systems.sensing.camera_model import CameraModel
 from pydrake.geometry import Box, Cylinder, GeometryInstance, PerceptionProperties, SceneGraph

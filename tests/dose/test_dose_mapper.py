@@ -3,10 +3,10 @@
 import numpy as np
 import open3d as o3d
 import pytest
+from naraha.systems.dose import dose_mapper
+from naraha.systems.dose.dose_estimate import DoseConfig
+from naraha.systems.dose.dose_mapper import DoseMapper, DoseMapperConfig, position_at
 from naraha.systems.errors import ConfigError, PortError
-from naraha.systems.fusion import dose_mapper
-from naraha.systems.fusion.dose import DoseConfig
-from naraha.systems.fusion.dose_mapper import DoseMapper, DoseMapperConfig, position_at
 from naraha.systems.sensing.gamma_counter import NO_READING, DoseReading
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue

@@ -12,11 +12,11 @@ from pydrake.systems.framework import Context, LeafSystem
 from scipy.spatial import KDTree
 
 from ..config import check_config, quantity
+from ..dose.dose_field import DoseField
 from ..ports import eval_typed, weak_method
 from ..slam import Keyframe
 from ..slam.voxel_cloud import transform_points
 from .classes import HEAT, OTHER, SOURCE, WATER
-from .dose_field import DoseField
 from .water import cloud_points
 
 

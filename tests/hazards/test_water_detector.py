@@ -4,9 +4,9 @@ import numpy as np
 import open3d as o3d
 import pytest
 from naraha.systems.errors import ConfigError, PortError
-from naraha.systems.fusion.shot_grid import HIT, MIRROR, MISSING, ShotConfig
-from naraha.systems.fusion.water import FILTERS, WaterConfig, cloud_attribute, cloud_points, water_probability
-from naraha.systems.fusion.water_detector import WaterDetector
+from naraha.systems.hazards.shot_grid import HIT, MIRROR, MISSING, ShotConfig
+from naraha.systems.hazards.water import FILTERS, WaterConfig, cloud_attribute, cloud_points, water_probability
+from naraha.systems.hazards.water_detector import WaterDetector
 from naraha.systems.ports import weak_method
 from naraha.systems.sensing import Scan
 from open3d.t.geometry import PointCloud
@@ -15,7 +15,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from tests.fusion.pool_hall import (
+from tests.hazards.pool_hall import (
     MAT,
     PATTERN,
     POOL,

@@ -4,19 +4,19 @@ import numpy as np
 import open3d as o3d
 import pytest
 from naraha.systems.errors import ConfigError, PortError
-from naraha.systems.fusion.viewpoint_merger import (
+from naraha.systems.sensing import Scan
+from naraha.systems.slam import Keyframe, voxel_filter
+from naraha.systems.viewpoints.viewpoint_merger import (
     MergeConfig,
     ViewpointMerger,
     ViewpointMergerConfig,
     merge_viewpoints,
 )
-from naraha.systems.sensing import Scan
-from naraha.systems.slam import Keyframe, voxel_filter
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
-from tests.fusion.viewpoints import box_room, cloud_of, errors, take_views
+from tests.viewpoints.viewpoints import box_room, cloud_of, errors, take_views
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from ..errors import PortError
 from ..ports import eval_typed, weak_method
 from ..slam.keyframe import Keyframe
 from .earlier_survey import Alignment, EarlierSurvey, align_to_earlier, earlier_survey, read_survey
-from .seen_space import SeenSpace, seen_space
+from .seen_space import SeenSpace, make_seen_space
 from .sight import keyframe_rays
 from .survey_changes import CHANGES, NOT_SEEN_AGAIN, UNCHANGED, ChangedObject, SurveyUpdateConfig, find_changes
 from .survey_history import attach_history, history_of, join_maps, map_of, times_seen
@@ -95,7 +95,7 @@ def update_survey(
         return _refused(earlier, survey, len(usable), alignment, alignment.reason)
     new_M = map_of(usable, alignment.X_MK, config.voxel_size)
     rays = [keyframe_rays(k, p_BS, alignment.X_MK) for k in usable]
-    seen = seen_space(rays, replace(config.seen, voxel_size=earlier.seen.voxel_size), survey=survey)
+    seen = make_seen_space(rays, replace(config.seen, voxel_size=earlier.seen.voxel_size), survey=survey)
     p_old, p_new = (c.point.positions.numpy().astype(float) for c in (earlier.map_M, new_M))
     found = find_changes(p_old, p_new, earlier.seen, seen, rays, config)
     first, last = times_seen(usable, alignment.X_MK, config.voxel_size)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naraha.systems.fusion.regions import RegionConfig, find_regions, group_points, trace_outline
+from naraha.systems.hazards.regions import RegionConfig, find_regions, group_points, trace_outline
 
 
 def disc_scene(rng, radius, centre, count=40_000, half=1.5):

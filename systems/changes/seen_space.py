@@ -117,7 +117,7 @@ class SeenSpace:
         return _one_a_voxel(self.voxel_size, {name: column[order] for name, column in columns.items()})
 
 
-def seen_space(rays: Iterable[Rays], config: SeenSpaceConfig | None = None, *, survey: int = 0) -> SeenSpace:
+def make_seen_space(rays: Iterable[Rays], config: SeenSpaceConfig | None = None, *, survey: int = 0) -> SeenSpace:
     """The space that `rays` saw free in survey number `survey`."""
     config = config or SeenSpaceConfig()
     parts = [(free_voxels(bundle, config), bundle.time) for bundle in rays]
