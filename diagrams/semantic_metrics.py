@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import open3d as o3d
 from naraha.models.worlds import Solid, World
-from naraha.systems.dose.dose_field import DoseField
+from naraha.systems.dose import DoseField, DoseReadings
 from naraha.systems.hazards.classes import HEAT, WATER
 from naraha.systems.hazards.regions import Region
 from naraha.systems.hazards.shot_grid import ShotGrid
@@ -129,22 +129,24 @@ def water_metrics(
     return metrics
 
 
-def dose_metrics(scene: RayScene, field: DoseField, points: np.ndarray, background: float) -> dict[str, float]:
-    """Distance of the strongest source from where it is, and the mean relative error of the dose map where measured."""
-    near = points[field.measured_near(points)]
-    true = np.full(len(near), background)
+def dose_metrics(scene: RayScene, field: DoseField, readings: DoseReadings, background: float) -> dict[str, float]:
+    """Distance of the strongest source from where it is, and the mean relative error of the dose rate where measured.
+
+    That is at the places of the readings, one a cube of 0.5 m, so that places where the robot stood long count once.
+    """
+    measured = readings.p_MG[readings.usable()]
+    places = measured[np.unique(np.floor(measured / 0.5), axis=0, return_index=True)[1]]
+    true = np.full(len(places), background)
     for source in scene.sources:
         p_WQ = np.array(source.p_FQ)
-        distance = np.linalg.norm(near - p_WQ, axis=1)
-        depth = scene.attenuation_along(near, p_WQ)
+        distance = np.linalg.norm(places - p_WQ, axis=1)
+        depth = scene.attenuation_along(places, p_WQ)
         true += source_dose_rate(np.array(source.activity), distance, depth)
     metrics: dict[str, float] = {"sources": len(scene.sources), "sources_found": len(field.sources)}
     if field.sources and scene.sources:
-        places = np.array([source.p_FQ for source in scene.sources])
-        metrics["source_error_m"] = float(np.linalg.norm(places - field.sources[0].p_M, axis=1).min())
-        metrics["source_error_horizontal_m"] = float(
-            np.linalg.norm((places - field.sources[0].p_M)[:, :2], axis=1).min()
-        )
-    if len(near):
-        metrics["dose_map_error"] = float((np.abs(field.rate(near) - true) / true).mean())
+        offset = np.array([source.p_FQ for source in scene.sources]) - field.sources[0].p_M
+        metrics["source_error_m"] = float(np.linalg.norm(offset, axis=1).min())
+        metrics["source_error_horizontal_m"] = float(np.linalg.norm(offset[:, :2], axis=1).min())
+    if len(places):
+        metrics["dose_map_error"] = float((np.abs(field.rate(places) - true) / true).mean())
     return metrics

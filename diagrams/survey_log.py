@@ -150,7 +150,7 @@ class SurveyLog(DiagramReader):
             "hot_spots": len(self.read("heat.hot_spots")),
             "heat_points": int((hot & seen).sum()),
             "heat_iou": intersection_over_union(label[seen] == HEAT.id, hot[seen]),
-            **dose_metrics(scene, field, points, head.gamma_counter.background),
+            **dose_metrics(scene, field, self.read("dose.readings"), head.gamma_counter.background),
         }
 
     def change_metrics(self) -> dict[str, float]:

@@ -9,9 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from naraha.diagrams.extrinsics import ExtrinsicsScenario, make_extrinsics
 from naraha.diagrams.mapping import MapScenario, make_mapping
+from naraha.diagrams.merging import MergeScenario, make_merging
 from naraha.diagrams.scenario import load_scenario
 from naraha.diagrams.survey import SurveyScenario, make_survey
+from naraha.systems.changes import make_seen_space, write_seen
+from naraha.systems.changes.sight import Rays
 from naraha.systems.sensing import write_cloud
 from open3d.t.geometry import PointCloud
 from pydrake.geometry import Meshcat
@@ -49,6 +53,32 @@ def in_mapping(name: str, seed: int, meshcat: Meshcat | None = None) -> tuple[Sy
     return find(make_mapping(MapScenario(), sorted(folder.iterdir()), meshcat), name)
 
 
+def in_merging(name: str, seed: int) -> tuple[System, LeafSystem]:
+    """Three views of one cloud of points, the second turned by a little."""
+    folder = Path(tempfile.gettempdir()) / f"naraha-views-{os.getpid()}-{seed}"
+    folder.mkdir(exist_ok=True)
+    points = np.random.default_rng(seed).uniform([-3, -2, 0], [3, 2, 2], (800, 3)).astype(np.float32)
+    for i in range(3):
+        write_cloud(folder / f"{i}.ply", PointCloud(points + np.float32([0.1 * i, 0, 0])))
+    return find(make_merging(MergeScenario(), sorted(folder.iterdir())), name)
+
+
+def in_update(name: str, seed: int) -> tuple[System, LeafSystem]:
+    """A survey that brings one up to date of which there is only a cloud and the space around it."""
+    folder = Path(tempfile.gettempdir()) / f"naraha-earlier-{os.getpid()}-{seed}"
+    folder.mkdir(exist_ok=True)
+    points = np.random.default_rng(seed).uniform([-9, -6, 0], [9, 6, 2], (800, 3)).astype(np.float32)
+    write_cloud(folder / "survey_map.ply", PointCloud(points))
+    write_seen(folder / "survey_seen.npz", make_seen_space([Rays(np.zeros(3), points, 0.0)]))
+    scenario = short_survey(seed)
+    scenario.earlier = str(folder)
+    return find(make_survey(scenario), name)
+
+
+def in_extrinsics(name: str, seed: int) -> tuple[System, LeafSystem]:
+    return find(make_extrinsics(load_scenario(ExtrinsicsScenario, "extrinsics", seed=seed)), name)
+
+
 EXAMPLES: dict[str, Example] = {
     **{
         name: in_survey(name)
@@ -79,7 +109,10 @@ EXAMPLES: dict[str, Example] = {
             "WaypointTour",
         )
     },
+    "ExtrinsicCalibrator": lambda seed: in_extrinsics("ExtrinsicCalibrator", seed),
     "KeyframeDisplay": lambda seed: in_mapping("KeyframeDisplay", seed, Meshcat()),
     "ScanReplay": lambda seed: in_mapping("ScanReplay", seed),
     "SemanticDisplay": in_survey("SemanticDisplay", meshcat=True),
+    "SurveyUpdate": lambda seed: in_update("SurveyUpdate", seed),
+    "ViewpointMerger": lambda seed: in_merging("ViewpointMerger", seed),
 }

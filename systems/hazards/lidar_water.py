@@ -17,6 +17,8 @@ _LAYER = 0.02
 _STRONG = 0.3
 # [rad] Points on steeper surfaces are no floor.
 _LEVEL = 0.35
+# [m] How far the floor of a map may bend, the cells in which it is looked for, and [points] how many a cell needs.
+_DRIFT, _CELL, _ENOUGH = 0.2, 1.5, 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,44 @@ def floor_height(
     if np.isfinite(near):
         level &= ~(np.abs(z - near) > search)
     return _lowest_level(z[level])
+
+
+def local_floor_height(p_MP: np.ndarray, tilt: np.ndarray | None, z_floor: float) -> np.ndarray:
+    """Height of the floor at each point (N, 3), (N,) [m]: a map bends a little where the path that made it drifted.
+
+    In cells of 1.5 m it is the median of the level points within 0.2 m of `z_floor`, smoothed over the neighbouring
+    cells; `z_floor` where there are too few.
+
+    Args:
+        tilt: (N,) [rad]; points that are steeper than 0.35 rad are left out, those with NaN, too.
+    """
+    floor = np.full(len(p_MP), float(z_floor))
+    finite = np.isfinite(p_MP).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        level = finite & (np.abs(p_MP[:, 2] - z_floor) < _DRIFT)
+        if tilt is not None:
+            level &= np.abs(tilt) < _LEVEL
+    if not level.any() or not np.isfinite(z_floor):
+        return floor
+    low = p_MP[finite, :2].min(axis=0)
+    cell = np.zeros((len(p_MP), 2), np.int64)
+    cell[finite] = np.floor((p_MP[finite, :2] - low) / _CELL)
+    shape = cell.max(axis=0) + 1
+    if shape.prod() > 1e6:  # stray points kilometres away
+        return floor
+    flat = cell[:, 0] * shape[1] + cell[:, 1]
+    heights = np.full(int(shape.prod()), np.nan)
+    order = np.flatnonzero(level)[np.argsort(flat[level], kind="stable")]
+    for members in np.split(order, np.flatnonzero(np.diff(flat[order])) + 1):
+        if len(members) >= _ENOUGH:
+            heights[flat[members[0]]] = np.median(p_MP[members, 2])
+    padded = np.pad(heights.reshape(shape), 1, constant_values=np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(-1, 9)
+    known = np.isfinite(around).any(axis=1)
+    smooth = np.full(len(around), float(z_floor))
+    smooth[known] = np.nanmedian(around[known], axis=1)
+    floor[finite] = smooth[flat[finite]]
+    return floor
 
 
 def _lowest_level(z: np.ndarray) -> float:

@@ -11,14 +11,16 @@ from scipy.special import expit, logit
 from ..config import quantity
 from ..errors import InputError
 from .brightness import dark_threshold
-from .lidar_water import floor_height
-from .regions import Region, RegionConfig, find_regions
+from .lidar_water import floor_height, local_floor_height
+from .regions import Region, RegionConfig, find_regions, group_points
 from .shot_grid import ShotConfig, ShotGrid
 
 # In the order in which S0-c and then this project add them.
 FILTERS = ("threshold", "range", "tilt", "lidar")
 # Neighbours that stand in for a tilt that is not known: how many at most, and how near [m].
 _NEIGHBOURS, _NEIGHBOUR_RANGE = 8, 0.25
+# Log likelihood ratio from which on LiDAR shots speak for water; what is doubted has this share of `min_probability`.
+_SPEAKS, _DOUBT = 1.0, 0.9
 
 
 @dataclass(kw_only=True)
@@ -49,6 +51,9 @@ class WaterConfig:
     form_evidence: float = quantity(10.0, low=0.0)
     # What LiDAR evidence counts where near-infrared never looked. With half, it needs log odds of 4.4 by itself.
     lidar_alone: float = quantity(0.5, low=0.0, high=1.0)
+    # Share of the points of a patch for which near-infrared must say dark, and for which LiDAR shots must say wet, or
+    # none of it is called water: a shadow is dark, too, and where the path drifted shots are missing.
+    agreement: float = quantity(0.15, low=0.0, high=1.0)
     # Probability from which on a point counts as water.
     min_probability: float = quantity(0.5, above=0.0, high=1.0)
     shots: ShotConfig = field(default_factory=ShotConfig)
@@ -92,15 +97,17 @@ def water_probability(
     Every filter can be left out, to see what it contributes. All but `threshold` are needed for what is dark and not
     water: things far away, upright things, things that a LiDAR sees.
 
-    Without near-infrared the LiDAR counts `lidar_alone` times, so that it declares water only where it is sure.
-    Where neither has looked, the probability is NaN: not known.
+    Without near-infrared the LiDAR counts `lidar_alone` times, so that it declares water only where it is sure. A patch
+    of probable water on which the two do not agree (`agreement`) is doubted as a whole: its points are held just below
+    `min_probability`. Where neither has looked, the probability is NaN: not known.
 
     Args:
         p_MP: (N, 3) [m], in a frame whose z points up.
         nir: reflectance near 1450 nm, NaN where never seen. nir_range: distance at which it was measured [m].
         tilt: angle between the surface's normal and the vertical [rad]. All (N,), or None when there is none.
         shots: LiDAR evidence.
-        z_floor: height of the floor, one for all or one for each point [m]; found by `floor_height` when not given.
+        z_floor: height of the floor, about the same everywhere, or for each point [m]; found by `floor_height` when
+            not given.
         filters: names from `FILTERS`.
 
     Returns:
@@ -119,11 +126,14 @@ def water_probability(
     tilt = np.minimum(np.abs(tilt), np.abs(np.pi - np.abs(tilt)))
     if z_floor is None or not np.isfinite(z_floor).any():
         z_floor = floor_height(p_MP, tilt)
+    if np.ndim(z_floor) == 0:
+        z_floor = local_floor_height(p_MP, tilt, float(z_floor))
     with np.errstate(invalid="ignore"):
         height = np.abs(p_MP[:, 2] - z_floor)
         at_floor = _fades(height, config.height_limit)
     seen = np.isfinite(nir) & ("threshold" in filters)
     odds = np.full(len(p_MP), float(logit(config.prior)))
+    evidence = np.zeros(len(p_MP))
     if seen.any():
         sample = (at_floor > 0.5) & ~(tilt > np.radians(config.tilt_limit_deg)) & ~(nir_range > config.trust_range / 2)
         evidence = _brightness_evidence(nir, nir[sample], config)
@@ -139,7 +149,24 @@ def water_probability(
         ratio = shots.log_likelihood_ratio(p_MP[:, :2]) * np.nan_to_num(at_floor)
         odds += np.where(seen, 1.0, config.lidar_alone) * ratio
         known = known | (ratio != 0)
-    return np.where(known & np.isfinite(p_MP).all(axis=1), expit(odds), np.nan)
+    probability = np.where(known & np.isfinite(p_MP).all(axis=1), expit(odds), np.nan)
+    if "lidar" in filters and shots is not None and seen.any():
+        doubted = _without_agreement(p_MP, probability, seen & (evidence > 0), ratio > _SPEAKS, config)
+        probability[doubted] = np.minimum(probability[doubted], _DOUBT * config.min_probability)
+    return probability
+
+
+def _without_agreement(
+    p_MP: np.ndarray, probability: np.ndarray, dark: np.ndarray, wet: np.ndarray, config: WaterConfig
+) -> np.ndarray:
+    """Indices of points that are probably water, in patches where near-infrared or LiDAR does not speak for it."""
+    with np.errstate(invalid="ignore"):
+        chosen = np.flatnonzero(probability >= config.min_probability)
+    group = group_points(p_MP[chosen, :2], config.regions.cell, config.regions.reach)
+    size = np.maximum(np.bincount(group), 1)
+    shares = [np.bincount(group, says[chosen], len(size)) / size for says in (dark, wet)]
+    doubted = np.minimum(*shares) < config.agreement if len(chosen) else np.zeros(1, bool)
+    return chosen[doubted[group]]
 
 
 def find_puddles(p_MP: np.ndarray, probability: np.ndarray, config: WaterConfig | None = None) -> tuple[Region, ...]:

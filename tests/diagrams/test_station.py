@@ -5,7 +5,9 @@ import numpy as np
 import psutil
 import pytest
 from naraha.diagrams.scenario import load_scenario
-from naraha.diagrams.station import X_BS, RobotConfig, StationConfig, make_station, sensor_seed, shipped_robots
+from naraha.diagrams.seeds import sensor_seed
+from naraha.diagrams.sensor_head import HeadConfig
+from naraha.diagrams.station import X_B, RobotConfig, StationConfig, make_station, shipped_robots
 from naraha.diagrams.survey import SurveyScenario, make_survey
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
@@ -48,7 +50,7 @@ def test_a_seed_repeats_the_scan_and_another_changes_it():
 
 def test_points_lie_on_the_walls_of_the_hall():
     outputs = run_station(hall(), 0, 0.35, twist=(0.0, 0.0))
-    X_WS = outputs["cheat.X_WB"] @ X_BS(make_station(hall(), seed=0))
+    X_WS = outputs["cheat.X_WB"] @ X_B(make_station(hall(), seed=0), "lidar")
     p_WP = (X_WS.rotation().matrix() @ outputs["scan_S"].p_SP.T).T + X_WS.translation()
     on_west_wall = np.abs(p_WP[:, 0] + 10) < 0.05
     assert on_west_wall.sum() > 300
@@ -87,3 +89,45 @@ def test_a_survey_that_was_dropped_is_freed():
     alive = [type(ref()).__name__ for ref in references if ref() is not None]
     assert alive == []
     assert psutil.Process().memory_info().rss - before < 60e6
+
+
+def head_outputs(seconds, **changes):
+    """Outputs of a station with a head that stands in the hall and turns its pan-tilt unit to the left and down."""
+    config = hall(**changes)
+    config.head = HeadConfig()
+    station = make_station(config, seed=0)
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    station.GetInputPort("twist_command").FixValue(context, np.zeros(2))
+    station.GetInputPort("flipper_preset").FixValue(context, Value("auto"))
+    station.GetInputPort("pan_tilt_command").FixValue(context, np.array([0.2, 0.1]))
+    simulator.AdvanceTo(seconds)
+    return station, lambda name: station.GetOutputPort(name).Eval(context)
+
+
+def test_the_head_sees_the_floor_where_it_is():
+    station, output = head_outputs(1.05)
+    depth = output("depth_image").data[:, :, 0]
+    camera = HeadConfig().depth_camera.model()
+    X_WD = output("cheat.X_WB") @ X_B(station, "depth_camera")
+    usable = (depth > 0) & np.isfinite(depth)
+    p_WP = X_WD.multiply(camera.unproject(depth)[usable.ravel()].T.astype(float)).T
+    assert usable.mean() > 0.5
+    assert np.mean(np.abs(p_WP[:, 2]) < 0.02) > 0.2  # the floor
+    assert p_WP[:, 2].min() > -0.2
+    assert p_WP[:, 0].min() > -8 + 0.45  # ahead
+    assert output("depth_image_time")[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_head_gives_what_its_cameras_and_counter_measure():
+    _, output = head_outputs(1.05)
+    np.testing.assert_allclose(output("pan_tilt_angles"), [0.2, 0.1], atol=2e-3)
+    np.testing.assert_allclose(output("cheat.pan_tilt_angles"), [0.2, 0.1], atol=1e-9)
+    assert output("nir_image").data.max() > 50
+    assert output("nir_exposure")[0] > 0
+    temperature = output("temperature_image")
+    assert temperature.shape == (60, 80)
+    assert np.nanmedian(temperature) == pytest.approx(20, abs=2)
+    reading = output("dose_reading")
+    assert reading.index == 1
+    assert reading.dose_rate == pytest.approx(output("cheat.dose_rate")[0], abs=5 * reading.sigma)

@@ -8,6 +8,7 @@ from naraha.systems.hazards.lidar_water import (
     RayMemory,
     below_floor,
     floor_height,
+    local_floor_height,
     ray_distances,
     shots_at_floor,
 )
@@ -224,3 +225,17 @@ def test_a_pitch_that_is_wrong_by_a_degree_does_not_make_water():
     shots = sort(distance)  # the robot believes that it is level
     assert (shots.kind == HIT).sum() > 5000
     assert np.isin(shots.kind, (MISSING, MIRROR)).sum() == 0
+
+
+def test_the_floor_of_a_bent_map_is_found_where_it_is():
+    rng = np.random.default_rng(0)
+    xy = rng.uniform([0, 0], [12, 6], (6000, 2))
+    bent = 0.01 * xy[:, 0]  # 0.12 m over 12 m
+    floor = np.column_stack([xy, bent + rng.normal(0, 0.01, len(xy))])
+    table = np.column_stack([rng.uniform([4, 2], [5, 3], (300, 2)), np.full(300, 0.8)])
+    points = np.vstack([floor, table, [[np.nan, 0, 0], [40.0, 40.0, 0.0]]])
+    found = local_floor_height(points, np.zeros(len(points)), 0.05)
+    assert np.abs(found[:6000] - bent).max() < 0.03
+    assert np.abs(found[6000:6300] - 0.045).max() < 0.03
+    assert found[-2] == found[-1] == 0.05
+    np.testing.assert_array_equal(local_floor_height(points, None, np.nan), np.full(len(points), np.nan))

@@ -162,3 +162,44 @@ def test_puddles_are_groups_of_water_in_plan():
     np.testing.assert_allclose(small.p_MC[:2], 3, atol=0.02)
     assert large.label == "water"
     assert large.area == pytest.approx(np.pi * 0.16, rel=0.06)
+
+
+def patches(*kinds):
+    """A floor of 0.1 m voxels around patches of 0.5 m, 2 m apart along x: points, nir, and the shots on them.
+
+    A patch is dark, wet for the LiDAR, both, or "seen by LiDAR alone".
+    """
+    axes = np.arange(-0.95, 2.0 * len(kinds), 0.1), np.arange(-0.95, 1.0, 0.1)
+    p_MP = np.column_stack([np.stack(np.meshgrid(*axes), -1).reshape(-1, 2), np.zeros(len(axes[0]) * len(axes[1]))])
+    nir, xy, evidence = np.full(len(p_MP), 0.35), [], []
+    for i, kind in enumerate(kinds):
+        inside = np.hypot(p_MP[:, 0] - 2.0 * i, p_MP[:, 1]) < 0.3
+        if kind != "wet":
+            nir[inside] = 0.01
+        if kind == "unseen":
+            nir[inside] = np.nan
+        if kind != "dark":
+            xy.append(np.repeat(p_MP[inside, :2], 20, axis=0))
+            evidence.append(np.full(len(xy[-1]), 3.0))
+    xy, evidence = np.vstack(xy), np.concatenate(evidence)
+    shots = ShotGrid(ShotConfig()).add(Shots(xy, np.full(len(xy), MISSING, np.uint8), evidence, np.ones(len(xy))))
+    return p_MP, nir, shots
+
+
+def test_a_patch_is_water_only_where_near_infrared_and_lidar_agree():
+    """A shadow is dark and no LiDAR shot speaks for water; a patch of missing shots is nothing that a camera saw."""
+    p_MP, nir, shots = patches("both", "dark", "unseen")
+    level = np.zeros(len(p_MP))
+    probability = water_probability(p_MP, nir=nir, nir_range=level + 2, tilt=level, shots=shots)
+    (puddle,) = find_puddles(p_MP, probability)
+    np.testing.assert_allclose(puddle.p_MC[:2], 0, atol=0.02)
+    without = water_probability(
+        p_MP, nir=nir, nir_range=level + 2, tilt=level, shots=shots, config=WaterConfig(agreement=0)
+    )
+    assert len(find_puddles(p_MP, without)) == 3
+
+
+def test_without_any_near_infrared_lidar_may_speak_for_itself():
+    p_MP, _, shots = patches("both")
+    probability = water_probability(p_MP, tilt=np.zeros(len(p_MP)), shots=shots)
+    assert len(find_puddles(p_MP, probability)) == 1
