@@ -54,6 +54,9 @@ class EdgeCalibrationConfig:
     min_pieces: int = quantity(8, unit="pieces", low=3)
     # [-] A second, different pose whose score is this part of the best one makes the result doubtful.
     max_ambiguity: float = quantity(0.9, unit="-", above=0, high=1)
+    # [-] A result that differs from the guess by more than this many of its standard deviations, which `hold` states, is
+    # taken for a wrong match.
+    max_change: float = quantity(3.0, unit="-", above=0)
     # How well the guess is known; also the limit for a direction to count as measured.
     hold: HoldConfig = field(default_factory=HoldConfig)
 
@@ -133,6 +136,9 @@ def calibrate_from_views(
             f"only {len(match.point)} points on {pieces} pieces of edge match, "
             f"needs {config.min_points} on {config.min_pieces}"
         )
+    change = float((np.abs(change_between(X_HC_guess, X_HC)) / scale).max())
+    if change > config.max_change:
+        return failed(f"the best match is {change:.1f} standard deviations of the guess away from it")
     information = information_of(problem, match, scale)
     reasons = [unheld_in_words(*held_directions(information, scale))]
     for score, X_other in fits[1:]:

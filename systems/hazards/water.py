@@ -21,6 +21,8 @@ FILTERS = ("threshold", "range", "tilt", "lidar")
 _NEIGHBOURS, _NEIGHBOUR_RANGE = 8, 0.25
 # Log likelihood ratio from which on LiDAR shots speak for water; what is doubted has this share of `min_probability`.
 _SPEAKS, _DOUBT = 1.0, 0.9
+# What hides a part of a puddle from one of the two splits it: points of a patch may be so many times as far apart.
+_PATCH = 2.0
 
 
 @dataclass(kw_only=True)
@@ -162,7 +164,7 @@ def _without_agreement(
     """Indices of points that are probably water, in patches where near-infrared or LiDAR does not speak for it."""
     with np.errstate(invalid="ignore"):
         chosen = np.flatnonzero(probability >= config.min_probability)
-    group = group_points(p_MP[chosen, :2], config.regions.cell, config.regions.reach)
+    group = group_points(p_MP[chosen, :2], config.regions.cell, _PATCH * config.regions.reach)
     size = np.maximum(np.bincount(group), 1)
     shares = [np.bincount(group, says[chosen], len(size)) / size for says in (dark, wet)]
     doubted = np.minimum(*shares) < config.agreement if len(chosen) else np.zeros(1, bool)

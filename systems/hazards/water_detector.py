@@ -26,7 +26,7 @@ _MIN_STEP = 0.02
 _MAX_MOTION = 0.5
 # [m], [rad] A robot that stands higher above the lowest place where it stood, or tilted more, is on a step or a ramp:
 # what is below it is not the floor.
-_MAX_RISE, _MAX_TILT = 0.05, 0.05
+_MAX_RISE, _MAX_TILT = 0.15, 0.05
 # [s] Instants this near to each other are one.
 _CLOCK = 1e-6
 
