@@ -54,8 +54,8 @@ class EdgeCalibrationConfig:
     min_pieces: int = quantity(8, unit="pieces", low=3)
     # [-] A second, different pose whose score is this part of the best one makes the result doubtful.
     max_ambiguity: float = quantity(0.9, unit="-", above=0, high=1)
-    # [-] A result that differs from the guess by more than this many of its standard deviations, which `hold` states, is
-    # taken for a wrong match.
+    # [-] A result that differs from the guess by more than this many of its standard deviations, which `hold` states,
+    # is taken for a wrong match.
     max_change: float = quantity(3.0, unit="-", above=0)
     # How well the guess is known; also the limit for a direction to count as measured.
     hold: HoldConfig = field(default_factory=HoldConfig)

@@ -60,6 +60,8 @@ class SurveyUpdateConfig:
     min_thickness: float = quantity(0.25, unit="m", low=0)
     # [m] Longest side of the box around an object, at least.
     min_extent: float = quantity(0.2, unit="m", low=0)
+    # [m] Height of that box, at least: a flat strip is floor that the other survey's rays passed over.
+    min_height: float = quantity(0.1, unit="m", low=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,8 @@ def changed_groups(p_MP: np.ndarray, core: np.ndarray, away: np.ndarray, config:
         if len(members) < config.min_points or core[members].sum() < config.min_core_points:
             continue
         thick = np.quantile(away[members], 0.9) >= config.min_thickness
-        if thick and np.ptp(p_MP[members], axis=0).max() >= config.min_extent:
+        extent = np.ptp(p_MP[members], axis=0)
+        if thick and extent.max() >= config.min_extent and extent[2] >= config.min_height:
             group[members] = kept
             kept += 1
     return group

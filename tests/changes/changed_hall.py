@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from naraha.diagrams.change_metrics import box_distance
 from naraha.models.worlds import Solid, World
 from naraha.models.worlds.stair_hall import FREE_WAY, LANDING_X, STAIR_Y, clearance
 from naraha.systems.changes.seen_space import free_voxels, voxel_keys
@@ -25,12 +26,6 @@ ENOUGH = 15  # voxels of 0.1 m
 class Change:
     kind: str
     solid: Solid
-
-
-def box_distance(solid: Solid, points: np.ndarray) -> np.ndarray:
-    """Distance (N,) of points (N, 3) to a box, 0 inside."""
-    local = solid.X_WG().inverse().multiply(np.asarray(points, float).T).T
-    return np.linalg.norm(np.maximum(np.abs(local) - np.array(solid.box) / 2, 0), axis=1)
 
 
 def footprint(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
