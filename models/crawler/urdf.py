@@ -79,7 +79,7 @@ class CrawlerShape:
     # [rad] how far the depth camera and the pan-tilt look down.
     head_pitch: float = quantity(math.radians(10.0), unit="rad")
 
-    # Masses add up to 30.9 kg: comparable are CSIRO's DTR (about 30 kg, body 16.2 kg) and Absolem (body 16.0 kg,
+    # Masses add up to 30.6 kg: comparable are CSIRO's DTR (about 30 kg, body 16.2 kg) and Absolem (body 16.0 kg,
     # track 6.1 kg, flipper 0.75 kg), both from osrf/subt.
     # [kg] chassis with batteries, motors and computer.
     base_mass: float = quantity(16.0, unit="kg", above=0.0)
@@ -94,7 +94,7 @@ class CrawlerShape:
     # [kg] IMU module.
     imu_mass: float = quantity(0.05, unit="kg", above=0.0)
     # [kg] pole and head with cameras, pan-tilt, lamp and counter. Assumed.
-    mast_mass: float = quantity(1.0, unit="kg", above=0.0)
+    mast_mass: float = quantity(0.7, unit="kg", above=0.0)
 
     # Friction of the belts, rubber with cleats. Drake combines two surfaces as 2 m n / (m + n), so that ground of 1.0
     # makes it 1.05: just over the tan(45 deg) of S2's steepest slope.
