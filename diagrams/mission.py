@@ -16,12 +16,13 @@ from typing import Any, Literal
 
 from naraha.systems.errors import InputError, NarahaError
 from naraha.systems.files import replacing
-from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from .scenario import dump_scenario
 
 Status = Literal["done", "failed", "interrupted"]
 EXIT_CODES: dict[Status, int] = {"done": 0, "failed": 1, "interrupted": 130}
@@ -167,7 +168,7 @@ class Mission:
             **self.metrics,
         }
         with replacing(self.path("scenario.yaml")) as path:
-            path.write_text(yaml_dump_typed(self.scenario))
+            path.write_text(dump_scenario(self.scenario))
         with replacing(self.path("metrics.json")) as path:
             path.write_text(json.dumps(jsonable(self.metrics), indent=1, allow_nan=False) + "\n")
         self._print_summary(ending)

@@ -13,7 +13,7 @@ import yaml
 from naraha.models import MODELS_DIR
 from naraha.systems.config import check_config
 from naraha.systems.errors import ScenarioError
-from pydrake.common.yaml import yaml_dump, yaml_load_data, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_data, yaml_load_typed
 
 SCENARIOS_DIR = MODELS_DIR / "scenarios"
 
@@ -55,6 +55,24 @@ def load_scenario[T](schema: type[T], name: str, settings: Iterable[str] = (), s
         raise ScenarioError(f"wrong type: {_one_line(error)}", where=path) from None
     check_config(scenario, where=path)
     return scenario
+
+
+def dump_scenario(scenario: Any) -> str:
+    """The scenario as YAML that `load_scenario` reads back to the same; Drake leaves fields out that are null."""
+    data = yaml_load_data(yaml_dump_typed(scenario), private=True)
+    _add_nulls(scenario, data)
+    return yaml_dump(data)
+
+
+def _add_nulls(config: Any, data: Any) -> None:
+    if not dataclasses.is_dataclass(config) or not isinstance(data, dict):
+        return
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if value is None:
+            data[field.name] = None
+        else:
+            _add_nulls(value, data.get(field.name))
 
 
 def _find(name: str) -> Path:

@@ -4,7 +4,7 @@ import pytest
 from naraha.diagrams.extrinsics import ExtrinsicsScenario
 from naraha.diagrams.mapping import MapScenario
 from naraha.diagrams.merging import MergeScenario
-from naraha.diagrams.scenario import load_scenario, shipped_scenarios
+from naraha.diagrams.scenario import dump_scenario, load_scenario, shipped_scenarios
 from naraha.diagrams.survey import SurveyScenario
 from naraha.systems.config import quantity
 from naraha.systems.errors import InputError
@@ -91,8 +91,21 @@ def test_a_resolved_scenario_loads_as_it_was_saved(name, tmp_path):
     schema = SCHEMAS.get(name, SurveyScenario)
     scenario = load_scenario(schema, name, seed=3)
     path = tmp_path / "resolved.yaml"
-    path.write_text(yaml_dump_typed(scenario))
+    path.write_text(dump_scenario(scenario))
     again = load_scenario(schema, str(path))
     assert yaml_dump_typed(again) == yaml_dump_typed(scenario)
     assert again.seed == 3
     assert scenario.description
+
+
+def test_what_was_switched_off_stays_off(tmp_path):
+    scenario = load_scenario(
+        SurveyScenario, "stair_hall", ["recording=null", "lidar=null", "fusion.water.threshold=null"]
+    )
+    path = tmp_path / "resolved.yaml"
+    path.write_text(dump_scenario(scenario))
+    again = load_scenario(SurveyScenario, str(path))
+    assert again.recording is None
+    assert again.lidar is None
+    assert again.fusion.water.threshold is None
+    assert dump_scenario(again) == dump_scenario(scenario)
