@@ -1,6 +1,6 @@
 """The end of a survey in Meshcat: paths, classes, puddles, hot spots and dose rate over what grew on the way."""
 
-from naraha.systems.display import draw_classes, draw_dose, draw_regions, draw_source
+from naraha.systems.display import draw_classes, draw_dose, draw_last_keyframe, draw_regions, draw_source
 from naraha.systems.hazards.classes import HEAT, WATER
 from pydrake.geometry import Meshcat
 
@@ -13,6 +13,8 @@ COLOURS = {"truth": TRUTH, "estimate": ESTIMATE, "odometry": ODOMETRY, "baseline
 
 def draw_survey(meshcat: Meshcat, log: SurveyLog) -> list[Layer]:
     """Draws what the survey found, and returns the layers that can be switched."""
+    if log.keyframes():
+        draw_last_keyframe(meshcat, log.keyframes()[-1], log.scenario.display, log.keyframes()[-1].time)
     for name, trajectory in log.trajectories.items():
         draw_trajectory(meshcat, name, trajectory, COLOURS[name])
     colours = {name: COLOURS[name] for name in log.trajectories}

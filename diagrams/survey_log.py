@@ -27,7 +27,7 @@ class SurveyLog(DiagramReader):
 
     def __init__(self, scenario: SurveyScenario, diagram: Diagram):
         super().__init__(diagram)
-        self._scenario = scenario
+        self.scenario = scenario
         sources = {
             "truth": "station.cheat.X_WB",
             "estimate": "slam.X_MB",
@@ -47,12 +47,12 @@ class SurveyLog(DiagramReader):
         if reached > self._last_waypoint[0]:
             self._last_waypoint = (reached, time)
         rpy = self.read("station.rpy")
-        count = len(self._scenario.tour.waypoints)
+        count = len(self.scenario.tour.waypoints)
         if self.read("tour.done")[0] > 0:
             return Ending("done", f"all {count} waypoints are reached")
-        if np.cos(rpy[0]) * np.cos(rpy[1]) < np.cos(self._scenario.tip_over_angle):
+        if np.cos(rpy[0]) * np.cos(rpy[1]) < np.cos(self.scenario.tip_over_angle):
             return Ending("failed", f"the robot tipped over at {time:.1f} s")
-        if time - self._last_waypoint[1] > self._scenario.patience:
+        if time - self._last_waypoint[1] > self.scenario.patience:
             return Ending("failed", f"stuck on the way to waypoint {int(reached) + 1} of {count} since {time:.0f} s")
         return None
 
@@ -87,14 +87,14 @@ class SurveyLog(DiagramReader):
 
     def _new_seen(self) -> SeenSpace:
         p_BS = X_B(subsystem(self.diagram, "station"), "lidar").translation()
-        return make_seen_space([keyframe_rays(k, p_BS) for k in self.keyframes()], self._scenario.update.seen)
+        return make_seen_space([keyframe_rays(k, p_BS) for k in self.keyframes()], self.scenario.update.seen)
 
     def keyframes(self) -> tuple[Keyframe, ...]:
         return self.read("survey_map.keyframes")
 
     def metrics(self) -> dict[str, float]:
         """Errors against the truth of all trajectories and of the maps that are built on them (row S0-g)."""
-        scenario, truth, keyframes = self._scenario, self.trajectories["truth"], self.keyframes()
+        scenario, truth, keyframes = self.scenario, self.trajectories["truth"], self.keyframes()
         health = self.read("slam.health")
         metrics: dict[str, float] = {
             "waypoints": len(scenario.tour.waypoints),
@@ -126,7 +126,7 @@ class SurveyLog(DiagramReader):
 
     def semantic_metrics(self) -> dict[str, float]:
         """What was found of water, heat and radiation, against what is there (S0-b to S0-d)."""
-        fusion, head = self._scenario.fusion, self._scenario.head
+        fusion, head = self.scenario.fusion, self.scenario.head
         if not self.semantic or fusion is None or head is None:
             return {}
         world, scene, cloud, field = self._world(), self._true_surfaces(), self.map_M(), self.read("dose.dose_field")
@@ -140,7 +140,7 @@ class SurveyLog(DiagramReader):
             scene,
             p_BS=X_B(station, "lidar").translation(),
             p_BD=X_B(station, "depth_camera").translation(),
-            voxel=self._scenario.survey_map.voxel_size,
+            voxel=self.scenario.survey_map.voxel_size,
         )
         hot = true[HEAT.name]
         seen = np.isfinite(cloud_attribute(cloud, "temperature"))
@@ -157,14 +157,14 @@ class SurveyLog(DiagramReader):
         """What was found to have changed since the earlier survey, against what has (S0-d)."""
         if not self.updated:
             return {}
-        folder = Path(self._scenario.earlier)
+        folder = Path(self.scenario.earlier)
         before, earlier = load_scenario(SurveyScenario, str(folder / "scenario.yaml")), read_survey(folder)
         worlds = station_world(before, before.seed), self._world()
         views = View(cloud_points(earlier.map_M), earlier.seen), View(cloud_points(self._new_map()), self._new_seen())
         return change_metrics(worlds, views, self.read("update.summary"), self.read("update.changes"))
 
     def _world(self) -> World:
-        return station_world(self._scenario, self._scenario.seed)
+        return station_world(self.scenario, self.scenario.seed)
 
     def _true_surfaces(self) -> RayScene:
         inspector = subsystem(self.diagram, "station", "scene_graph").model_inspector()
