@@ -144,14 +144,6 @@ def _lowest_level(z: np.ndarray) -> float:
     return float(np.median(z[np.abs(bins - lowest) <= 1]))
 
 
-def below_floor(p_MP: np.ndarray, z_floor: float, margin: float = 0.1) -> np.ndarray:
-    """Which points (N, 3) [m] lie more than `margin` below the floor, (N,) bool.
-
-    They are mirror images in water, or a real pit: a cloud alone cannot tell them apart.
-    """
-    return np.asarray(p_MP).reshape(-1, 3)[:, 2] < z_floor - margin
-
-
 def shots_at_floor(
     pattern: ScanPattern,
     distance: np.ndarray,

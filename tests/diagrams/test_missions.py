@@ -31,7 +31,8 @@ def metrics_of(folder):
 @pytest.fixture(scope="module")
 def short_survey(tmp_path_factory):
     out = tmp_path_factory.mktemp("survey")
-    result = naraha("survey", "--out", out, "--seed", 1, "--set", SHORT_TOUR)
+    # Without mirror images, which are outside of the walls as long as nobody has looked at the water that shows them.
+    result = naraha("survey", "--out", out, "--seed", 1, "--set", SHORT_TOUR, "--set", "lidar.mirror=false")
     return result, out
 
 
@@ -57,8 +58,8 @@ def test_the_map_has_the_hall_and_the_attributes(short_survey):
     points = cloud.point.positions.numpy()
     assert len(points) > 5000
     assert "intensity" in cloud.point
-    # Of what LiDAR shots show in water that nobody has looked at yet, a little is outside of the walls.
-    assert np.mean((np.abs(points[:, 0]) > 10.3) | (np.abs(points[:, 1]) > 7.3)) < 0.005
+    assert np.abs(points[:, 0]).max() < 10.3
+    assert np.abs(points[:, 1]).max() < 7.3
     floor = points[np.abs(points[:, 2]) < 0.05]
     assert len(floor) > 500
 

@@ -6,7 +6,6 @@ import pytest
 from naraha.systems.errors import PortError
 from naraha.systems.hazards.lidar_water import (
     RayMemory,
-    below_floor,
     floor_height,
     local_floor_height,
     ray_distances,
@@ -174,11 +173,6 @@ def test_without_points_there_is_no_floor():
     assert np.isnan(floor_height(np.zeros((5, 3)), near=9.0))
     assert floor_height(np.array([[0, 0, 1.5]])) == pytest.approx(1.5)
     assert floor_height(np.array([[0, 0, 0.2]] * 9 + [[0, 0, 1e12]])) == pytest.approx(0.2)
-
-
-def test_points_below_the_floor_are_picked_out():
-    points = np.array([[0, 0, 0.0], [0, 0, -0.05], [0, 0, -0.5], [0, 0, np.nan]])
-    assert below_floor(points, 0.0).tolist() == [False, False, True, False]
 
 
 @pytest.mark.parametrize("bad", ["nan pose", "no returns", "one return", "high up", "upside down"])
