@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from naraha.models.worlds import Solid, World
 from naraha.systems.changes import ChangedObject, SeenSpace, UpdateSummary
-from naraha.systems.slam.voxel_cloud import transform_points
+from naraha.systems.clouds import transform_points
 
 # A point this near to a solid is on it [m]; a solid with this many points in a map was seen.
 NEAR, ENOUGH = 0.15, 15

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import open3d as o3d
 from naraha.models.worlds import Solid, World
+from naraha.systems.clouds import VoxelCloud, transform_points
 from naraha.systems.dose import DoseField, DoseReadings
 from naraha.systems.hazards.classes import HEAT, WATER
 from naraha.systems.hazards.regions import Region
@@ -19,8 +20,7 @@ from naraha.systems.hazards.water import (
 )
 from naraha.systems.sensing import RayScene
 from naraha.systems.sensing.gamma_counter import source_dose_rate
-from naraha.systems.slam import Keyframe, VoxelCloud
-from naraha.systems.slam.voxel_cloud import transform_points
+from naraha.systems.slam import Keyframe
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 from scipy.spatial import KDTree

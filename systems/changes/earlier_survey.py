@@ -10,10 +10,10 @@ from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 from scipy.spatial import KDTree
 
+from ..clouds import transform_points
 from ..errors import ScanFileError
+from ..registration import register
 from ..sensing.scan_files import read_scan
-from ..slam.registration import register
-from ..slam.voxel_cloud import transform_points
 from .seen_space import SeenSpace, read_seen
 from .survey_changes import VANISHED, SurveyUpdateConfig, free_around, map_normals
 

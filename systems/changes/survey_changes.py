@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..clouds import estimate_normals
 from ..config import quantity
 from ..hazards.regions import group_points
-from ..slam.registration import RegistrationConfig, estimate_normals
+from ..registration import RegistrationConfig
 from .seen_space import SeenSpace
 from .sight import Rays, SeenSpaceConfig, look_again
 

@@ -7,8 +7,8 @@ import open3d as o3d
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 
+from ..clouds import VoxelCloud, transform_points
 from ..slam.keyframe import Keyframe
-from ..slam.voxel_cloud import VoxelCloud, transform_points
 from .seen_space import voxel_keys
 from .survey_changes import UNCHANGED, VANISHED
 

@@ -11,14 +11,13 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from pydrake.systems.sensors import ImageDepth32F
 
+from ..clouds import estimate_normals, voxel_filter
 from ..config import check_config, quantity
 from ..errors import ConfigError, PortError
 from ..ports import eval_typed, weak_method
 from ..sensing.camera_model import CameraModel
 from ..slam.keyframe import NO_KEYFRAME, Keyframe
-from ..slam.registration import estimate_normals
 from ..slam.scan_matcher import History, odometry_at
-from ..slam.voxel_cloud import voxel_filter
 from .layers import with_layers
 from .projection import check_extrinsics, move_rows
 

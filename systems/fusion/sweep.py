@@ -7,10 +7,10 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
+from ..clouds import transform_points
 from ..config import check_config, quantity
 from ..errors import ConfigError, PortError
 from ..sensing.camera_model import CameraModel
-from ..slam.voxel_cloud import transform_points
 
 
 @dataclass(kw_only=True)

@@ -11,11 +11,11 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
 from scipy.spatial import KDTree
 
+from ..clouds import transform_points
 from ..config import check_config, quantity
 from ..dose.dose_field import DoseField
 from ..ports import eval_typed, weak_method
 from ..slam import Keyframe
-from ..slam.voxel_cloud import transform_points
 from .classes import HEAT, OTHER, SOURCE, WATER
 from .water import cloud_points
 

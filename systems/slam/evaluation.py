@@ -7,9 +7,9 @@ from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 from scipy.spatial import KDTree
 
+from ..clouds import VoxelCloud
 from .keyframe import Keyframe
 from .motion import interpolate
-from .voxel_cloud import VoxelCloud
 
 ALIGNMENTS = ("first", "none")
 

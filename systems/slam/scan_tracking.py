@@ -9,12 +9,12 @@ import open3d as o3d
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 
+from ..clouds import VoxelCloud, estimate_normals, transform_points, voxel_filter
 from ..config import quantity
+from ..registration import Registration, RegistrationConfig, register
 from ..sensing import Scan, deskew
 from .keyframe import NO_KEYFRAME, Keyframe, PoseHealth
 from .motion import distance_and_angle, scale_motion
-from .registration import Registration, RegistrationConfig, estimate_normals, register
-from .voxel_cloud import VoxelCloud, transform_points, voxel_filter
 
 REFERENCES = ("local_map", "previous_keyframe")
 GUESSES = ("constant_velocity", "none")

@@ -9,10 +9,10 @@ from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from ..clouds import VoxelCloud
 from ..config import check_config, quantity
 from ..ports import eval_typed, weak_method
 from .keyframe import Keyframe
-from .voxel_cloud import VoxelCloud
 
 
 @dataclass(kw_only=True)

@@ -7,8 +7,8 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 
+from ..clouds import transform_points
 from ..config import quantity
-from ..slam.voxel_cloud import transform_points
 from .viewpoint import Viewpoint
 
 

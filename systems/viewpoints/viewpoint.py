@@ -10,9 +10,8 @@ from pydrake.math import RigidTransform
 from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
+from ..clouds import estimate_normals, transform_points, voxel_filter
 from ..config import quantity
-from ..slam import estimate_normals, voxel_filter
-from ..slam.voxel_cloud import transform_points
 
 
 @dataclass(kw_only=True)

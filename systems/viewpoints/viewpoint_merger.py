@@ -10,11 +10,12 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from ..clouds import VoxelCloud
 from ..config import check_config, quantity
 from ..errors import PortError
 from ..ports import eval_typed, weak_method
 from ..sensing import Scan
-from ..slam import Keyframe, VoxelCloud
+from ..slam import Keyframe
 from .viewpoint_set import NOTHING_MERGED, MergeConfig, MergeResult, ViewpointSet, check_lists, merge_viewpoints
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw
 
+from ..clouds import transform_points
 from ..config import check_config, quantity
 from ..errors import ConfigError
-from ..slam.voxel_cloud import transform_points
 from .joint_registration import JointRegistrationConfig, register_jointly
 from .place_search import PlaceCandidate, PlaceSearchConfig, judge, same_pose, search_place
 from .viewpoint import Viewpoint

@@ -8,10 +8,11 @@ from naraha.models.worlds import Solid, World
 from naraha.models.worlds.stair_hall import FREE_WAY, LANDING_X, STAIR_Y, clearance
 from naraha.systems.changes.seen_space import free_voxels, voxel_keys
 from naraha.systems.changes.sight import Rays, SeenSpaceConfig
+from naraha.systems.clouds import voxel_filter
 from naraha.systems.noise import generator_at
 from naraha.systems.sensing import LidarConfig, RayScene, welded_frames
 from naraha.systems.sensing.lidar import configured_pattern, make_cloud, simulate_returns, sweep_rays
-from naraha.systems.slam import Keyframe, voxel_filter
+from naraha.systems.slam import Keyframe
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder

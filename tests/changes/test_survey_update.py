@@ -17,9 +17,10 @@ from naraha.systems.changes.survey_update import (
     read_survey,
     update_survey,
 )
+from naraha.systems.clouds import VoxelCloud
 from naraha.systems.errors import ConfigError, PortError, ScanFileError
 from naraha.systems.sensing import write_cloud
-from naraha.systems.slam import Keyframe, VoxelCloud
+from naraha.systems.slam import Keyframe
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw

@@ -3,6 +3,7 @@
 import numpy as np
 import open3d as o3d
 import pytest
+from naraha.systems.clouds import VoxelCloud, voxel_filter
 from naraha.systems.errors import CameraError, ConfigError, PortError
 from naraha.systems.fusion.keyframe_assembler import (
     KeyframeAssembler,
@@ -11,7 +12,7 @@ from naraha.systems.fusion.keyframe_assembler import (
     join_clouds,
     surface_layers,
 )
-from naraha.systems.slam import Keyframe, VoxelCloud, voxel_filter
+from naraha.systems.slam import Keyframe
 from naraha.systems.slam.keyframe import NO_KEYFRAME
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw

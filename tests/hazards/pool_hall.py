@@ -2,9 +2,9 @@
 
 import numpy as np
 import open3d as o3d
+from naraha.systems.clouds import voxel_filter
 from naraha.systems.sensing import LidarConfig, Scan, Surface, SurfaceTable, vlp16
 from naraha.systems.sensing.lidar import make_cloud, simulate_returns, sweep_rays
-from naraha.systems.slam import voxel_filter
 from open3d.t.geometry import PointCloud
 from pydrake.geometry import Box, Cylinder
 from pydrake.math import RigidTransform, RollPitchYaw

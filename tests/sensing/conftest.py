@@ -1,7 +1,6 @@
 """Small SceneGraphs made of shapes, for the tests of what sensors see."""
 
 import pytest
-from hypothesis import settings
 from naraha.systems.sensing import RayScene, SurfaceTable
 from pydrake.geometry import (
     FrameId,
@@ -15,10 +14,6 @@ from pydrake.geometry import (
     Shape,
 )
 from pydrake.math import RigidTransform
-
-# A loaded machine must not fail a test: nothing here is about time.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
 
 PROPERTIES = {
     Role.kPerception: (PerceptionProperties, GeometryInstance.set_perception_properties),

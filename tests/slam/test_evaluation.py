@@ -5,7 +5,7 @@ import pytest
 from naraha.systems.slam import Keyframe, map_error, rebuild_map, trajectory_error
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from .conftest import make_cloud, pose
+from tests.rooms import make_cloud, pose
 
 TIMES = np.arange(5.0)
 LINE = np.array([RigidTransform([t, 0, 0]).GetAsMatrix4() for t in TIMES])

@@ -2,16 +2,9 @@
 
 import numpy as np
 import pytest
+from naraha.systems.registration import RegistrationConfig
 from naraha.systems.sensing import ScanReplay, list_scans, read_poses
-from naraha.systems.slam import (
-    RegistrationConfig,
-    ScanMatcher,
-    ScanMatcherConfig,
-    SurveyMap,
-    map_error,
-    rebuild_map,
-    trajectory_error,
-)
+from naraha.systems.slam import ScanMatcher, ScanMatcherConfig, SurveyMap, map_error, rebuild_map, trajectory_error
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 

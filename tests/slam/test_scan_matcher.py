@@ -8,16 +8,9 @@ import numpy as np
 import open3d as o3d
 import pytest
 from naraha.systems.errors import ConfigError, PortError
+from naraha.systems.registration import RegistrationConfig
 from naraha.systems.sensing import Scan
-from naraha.systems.slam import (
-    Keyframe,
-    Odometry6Dof,
-    RegistrationConfig,
-    ScanMatcher,
-    ScanMatcherConfig,
-    SurveyMap,
-    SurveyMapConfig,
-)
+from naraha.systems.slam import Keyframe, Odometry6Dof, ScanMatcher, ScanMatcherConfig, SurveyMap, SurveyMapConfig
 from naraha.systems.slam.motion import distance_and_angle, scale_motion
 from naraha.systems.slam.scan_matcher import odometry_at
 from pydrake.common.value import AbstractValue
@@ -25,7 +18,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from .conftest import make_cloud, pose, room_points
+from tests.rooms import make_cloud, pose, room_points
 
 PERIOD = 0.1
 X_WB0 = pose(-1.5, -1.0, 0.3, yaw=0.3)

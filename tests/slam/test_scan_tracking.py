@@ -7,13 +7,14 @@ from itertools import pairwise
 import numpy as np
 import open3d as o3d
 import pytest
+from naraha.systems.registration import RegistrationConfig
 from naraha.systems.sensing import Scan
-from naraha.systems.slam import RegistrationConfig, ScanMatcherConfig, Track, track_scan
+from naraha.systems.slam import ScanMatcherConfig, Track, track_scan
 from naraha.systems.slam.motion import distance_and_angle, scale_motion
 from naraha.systems.slam.scan_tracking import choose_keyframes, prepare_cloud
 from pydrake.math import RigidTransform
 
-from .conftest import make_cloud, pose, room_points, room_scan
+from tests.rooms import make_cloud, pose, room_points, room_scan
 
 X_BS = pose(0.2, 0.0, 0.5, 0.0, 0.1, 0.3)
 PERIOD = 0.1

@@ -3,9 +3,10 @@
 import numpy as np
 import open3d as o3d
 import pytest
+from naraha.systems.clouds import voxel_filter
 from naraha.systems.errors import ConfigError, PortError
 from naraha.systems.sensing import Scan
-from naraha.systems.slam import Keyframe, voxel_filter
+from naraha.systems.slam import Keyframe
 from naraha.systems.viewpoints.viewpoint_merger import (
     MergeConfig,
     ViewpointMerger,

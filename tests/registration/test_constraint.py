@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from naraha.systems.slam import constraint, undo_unheld_motion
+from naraha.systems.registration import constraint, undo_unheld_motion
 from pydrake.math import RigidTransform
 
-from .conftest import corridor, pose, room_points
+from tests.rooms import corridor, pose, room_points
 
 
 def test_the_constraint_of_a_cube_is_the_one_by_hand():

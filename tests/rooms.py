@@ -1,17 +1,9 @@
-"""A room in closed form, and what a sensor in it sees."""
-
-from pathlib import Path
+"""A room and a corridor in closed form, and what a sensor in them sees."""
 
 import numpy as np
 import open3d as o3d
-import pytest
-from hypothesis import settings
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw
-
-# A loaded machine must not fail a test: nothing here is about time.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
 
 # Centre, size of each box [m]. The first is the room, seen from inside; no motion maps the whole to itself.
 BOXES = [([0, 0, 1.5], [10, 8, 3]), ([3, -2, 0.75], [1.0, 2.0, 1.5]), ([-2, 3, 1.0], [2.0, 0.6, 2.0])]
@@ -51,12 +43,3 @@ def corridor(rng, count, length=30.0):
     x, u = rng.uniform(-length / 2, length / 2, count), rng.uniform(-1.2, 1.2, count)
     side, sign = rng.integers(0, 2, count), rng.choice([-1.2, 1.2], count)
     return np.stack([x, np.where(side, sign, u), np.where(side, u, sign)], axis=1)
-
-
-@pytest.fixture
-def balm():
-    """177 scans of a hand-held LiDAR with the poses of a LiDAR-inertial odometry as truth."""
-    folder = Path(__file__).parents[2].parent / "shared" / "data" / "balm_hku"
-    if not folder.is_dir():
-        pytest.skip(f"the recorded scans are not there: {folder}")
-    return folder

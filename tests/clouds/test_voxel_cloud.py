@@ -7,7 +7,7 @@ import open3d as o3d
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from naraha.systems.slam import VoxelCloud, voxel_filter
+from naraha.systems.clouds import VoxelCloud, voxel_filter
 from open3d.t.geometry import PointCloud
 
 

@@ -5,13 +5,13 @@ import open3d as o3d
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naraha.systems.slam import RegistrationConfig, estimate_normals, register, voxel_filter
+from naraha.systems.clouds import estimate_normals, voxel_filter
+from naraha.systems.registration import METHODS, RegistrationConfig, register
 from naraha.systems.slam.motion import distance_and_angle
-from naraha.systems.slam.registration import METHODS
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from .conftest import NOISE, corridor, make_cloud, pose, room_points, room_scan
+from tests.rooms import NOISE, corridor, make_cloud, pose, room_points, room_scan
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,13 @@ import open3d as o3d
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
+from ..clouds import estimate_normals, transform_points, voxel_filter
 from ..config import quantity
 from .constraint import AXES, constraint, undo_unheld_motion
-from .voxel_cloud import transform_points, voxel_filter
 
 _icp = o3d.pipelines.registration
 METHODS = ("point_to_point", "point_to_plane", "generalized")
 KERNELS = ("none", "tukey", "geman_mcclure")
-# Neighbours make a plane if the variance across it is this small against the one along its narrower side, and that
-# against the one along its wider side is not as small as on a line.
-FLAT, LINE = 0.05, 0.05
 
 
 @dataclass(kw_only=True)
@@ -140,20 +137,6 @@ def _normals(target: PointCloud, points: np.ndarray, radius: float) -> np.ndarra
     if "normals" in target.point and len(target.point.normals) == len(points):
         return target.point.normals.numpy().astype(float)
     return estimate_normals(points, radius)
-
-
-def estimate_normals(points: np.ndarray, radius: float) -> np.ndarray:
-    """Unit normals (N, 3) of `points` (N, 3) from up to 20 neighbours within `radius` [m]; their sign is arbitrary.
-
-    They are zero where the neighbours do not make a plane: at edges and corners, and on the single line that one ring
-    of a LiDAR leaves far away. Normals there point anywhere, and with the mean points of voxels at the foot of a wall
-    they lift the robot where no ceiling holds it down.
-    """
-    legacy = _legacy(points)
-    legacy.estimate_covariances(o3d.geometry.KDTreeSearchParamHybrid(radius, 20))
-    spread, axes = np.linalg.eigh(np.asarray(legacy.covariances).reshape(-1, 3, 3))
-    planar = (spread[:, 0] < FLAT * spread[:, 1]) & (spread[:, 1] > LINE * spread[:, 2])
-    return np.where(planar[:, None], axes[:, :, 0], 0.0)
 
 
 def _align(source: Any, target: Any, X: np.ndarray, config: RegistrationConfig) -> Any:
