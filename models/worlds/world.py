@@ -7,11 +7,12 @@ import numpy as np
 import yaml
 from naraha.systems.config import check_config, quantity
 from naraha.systems.errors import WorldError
-from naraha.systems.sensing import Surface, SurfaceTable
+from naraha.systems.sensing import RayScene, Surface, SurfaceTable, welded_frames
 from pydrake.common.yaml import yaml_load_data, yaml_load_typed
 from pydrake.geometry import Box, Cylinder, Shape, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
 
 
 @dataclass(kw_only=True)
@@ -103,6 +104,14 @@ class World:
             if solid.collides:
                 friction = CoulombFriction(solid.friction, solid.friction)
                 plant.RegisterCollisionGeometry(body, X_WG, shape, f"{solid.name}_collision", friction)
+
+    def ray_scene(self) -> RayScene:
+        """The solids alone, without a robot, for sensors that need no simulation: see `scan_at`."""
+        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.004)
+        self.add_to(plant)
+        plant.Finalize()
+        fixed = welded_frames(plant, plant.world_body())
+        return RayScene(scene_graph.model_inspector(), self.surface_table(), fixed_frames=fixed)
 
 
 def load_world_file(path: Path) -> World:

@@ -6,7 +6,7 @@ from .depth_camera import DepthCamera, DepthCameraConfig
 from .deskew import deskew, interpolate_pose
 from .gamma_counter import DoseReading, GammaCounter, GammaCounterConfig
 from .imu import Imu, ImuConfig
-from .lidar import Lidar, LidarConfig
+from .lidar import Lidar, LidarConfig, scan_at
 from .nir_camera import NirCamera, NirCameraConfig
 from .pan_tilt import PanTilt, PanTiltConfig, pan_tilt_pose
 from .pose_files import Poses, associate, read_poses, write_tum
@@ -56,6 +56,7 @@ __all__ = [
     "pan_tilt_pose",
     "read_poses",
     "read_scan",
+    "scan_at",
     "timed_scan",
     "utm30lx",
     "vlp16",

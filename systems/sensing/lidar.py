@@ -207,6 +207,15 @@ def make_cloud(pattern: ScanPattern, returns: Returns) -> o3d.t.geometry.PointCl
     return cloud
 
 
+def scan_at(
+    scene: RayScene, X_WS: RigidTransform, rng: np.random.Generator, config: LidarConfig | None = None
+) -> o3d.t.geometry.PointCloud:
+    """What a sensor that rests at X_WS sees of `scene`: points in S, with the attributes of `Scan`."""
+    config = config or LidarConfig()
+    pattern, X = configured_pattern(config), X_WS.GetAsMatrix4()
+    return make_cloud(pattern, simulate_returns(*sweep_rays(pattern, X, X), scene, rng, config=config, pattern=pattern))
+
+
 @dataclass
 class _SweepState:
     """What the LiDAR remembers between scans."""

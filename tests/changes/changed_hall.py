@@ -10,12 +10,10 @@ from naraha.systems.changes.seen_space import free_voxels, voxel_keys
 from naraha.systems.changes.sight import Rays, SeenSpaceConfig
 from naraha.systems.clouds import voxel_filter
 from naraha.systems.noise import generator_at
-from naraha.systems.sensing import LidarConfig, RayScene, welded_frames
+from naraha.systems.sensing import LidarConfig
 from naraha.systems.sensing.lidar import configured_pattern, make_cloud, simulate_returns, sweep_rays
 from naraha.systems.slam import Keyframe
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.framework import DiagramBuilder
 
 P_BS = np.array([0.0, 0.0, 0.22])  # [m] S is 0.30 m over the floor
 LIDAR = LidarConfig()
@@ -116,13 +114,7 @@ class Survey:
 
 
 def scan_tour(world: World, poses: list[RigidTransform], seed: int, sigma_m=0.025, sigma_deg=0.3) -> Survey:
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-    world.add_to(plant)
-    plant.Finalize()
-    scene = RayScene(
-        scene_graph.model_inspector(), world.surface_table(), fixed_frames=welded_frames(plant, plant.world_body())
-    )
+    scene = world.ray_scene()
     pattern = configured_pattern(LIDAR)
     keyframes, names, ends, free = [], [], [], []
     for i, X_WB in enumerate(poses):

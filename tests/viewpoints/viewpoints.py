@@ -3,12 +3,9 @@
 import numpy as np
 import open3d as o3d
 from naraha.models.worlds import load_world
-from naraha.systems.sensing import RayScene, welded_frames
-from naraha.systems.sensing.lidar import LidarConfig, configured_pattern, make_cloud, simulate_returns, sweep_rays
+from naraha.systems.sensing import scan_at
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.framework import DiagramBuilder
 
 PLACES = [(-8.0, -5.0), (4.0, -4.6), (7.2, 3.0), (-1.0, -3.0), (-8.0, 2.0)]
 HEIGHT = 0.30  # [m] of the sensor over the floor
@@ -21,26 +18,13 @@ def take_views(seed, *, world="stair_hall", places=PLACES, revolutions=5, tilt_d
     much, and clouds are in its own frame: a third result is what the IMU says, roll and pitch with the same error.
     """
     rng = np.random.default_rng([seed, 7])
-    built = load_world(world, seed)
-    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.004)
-    built.add_to(plant)
-    plant.Finalize()
-    fixed = welded_frames(plant, plant.world_body())
-    scene = RayScene(scene_graph.model_inspector(), built.surface_table(), fixed_frames=fixed)
-    config = LidarConfig()
-    pattern = configured_pattern(config)
+    scene = load_world(world, seed).ray_scene()
     clouds, poses, angles = [], [], []
     for place in places:
         x, y = _free(scene, place)
         roll, pitch = np.deg2rad(lean_deg) * rng.uniform(-1, 1, 2)
         X_WS = RigidTransform(RollPitchYaw(roll, pitch, rng.uniform(-np.pi, np.pi)), [x, y, HEIGHT])
-        X = X_WS.GetAsMatrix4()
-        shots = [
-            make_cloud(
-                pattern, simulate_returns(*sweep_rays(pattern, X, X), scene, rng, config=config, pattern=pattern)
-            )
-            for _ in range(revolutions)
-        ]
+        shots = [scan_at(scene, X_WS, rng) for _ in range(revolutions)]
         points = np.vstack([shot.point.positions.numpy() for shot in shots])
         error = np.deg2rad(tilt_deg) * rng.standard_normal(2)
         X_VS = RigidTransform()
