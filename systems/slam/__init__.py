@@ -1,7 +1,7 @@
 """Where the robot is and what is around it: odometry, scan matching, the survey map, and how good they are."""
 
 from .evaluation import map_error, rebuild_map, trajectory_error
-from .keyframe import Keyframe, PoseHealth
+from .keyframe import Keyframe, KeyframePoses, PoseHealth
 from .odometry import Odometry6Dof, OdometryConfig, propagate, rotation
 from .scan_matcher import ScanMatcher
 from .scan_tracking import ScanMatcherConfig, Track, track_scan
@@ -9,6 +9,7 @@ from .survey_map import SurveyMap, SurveyMapConfig
 
 __all__ = [
     "Keyframe",
+    "KeyframePoses",
     "Odometry6Dof",
     "OdometryConfig",
     "PoseHealth",

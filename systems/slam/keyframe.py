@@ -1,6 +1,7 @@
-"""What scan matching hands on: keyframes, and how far its pose can be trusted."""
+"""What scan matching hands on: keyframes, how far their poses can be trusted, and where they turned out to be."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from open3d.t.geometry import PointCloud
@@ -18,6 +19,10 @@ class Keyframe:
         X_OB: pose in the odometry frame at the same instant, None without odometry.
         cloud_B: the scan, de-skewed to `time` and thinned to one mean point a voxel, with mean attributes.
         health: health of the registration that gave X_MB, 0 where it was placed by dead reckoning.
+        X_PB: pose in the base of the keyframe before, P, as the registration of this one found it; None for the first.
+            Unlike the difference of two X_MB it does not change when the map is corrected in between.
+        covariance: (6, 6) of a small turn and shift in M's axes at the base, in the order roll, pitch, yaw, x, y, z
+            [rad, m], against what it was registered to; None where nothing is known.
     """
 
     index: int
@@ -26,6 +31,8 @@ class Keyframe:
     X_OB: RigidTransform | None
     cloud_B: PointCloud
     health: float
+    X_PB: RigidTransform | None = None
+    covariance: np.ndarray | None = None
 
     def __deepcopy__(self, memo: dict) -> "Keyframe":
         return self
@@ -40,6 +47,30 @@ class Keyframe:
 
 # Its cloud has no tensor at all: one that lived until the interpreter ends would make Open3D warn of a leak.
 NO_KEYFRAME = Keyframe(-1, 0.0, RigidTransform(), None, PointCloud(), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframePoses:
+    """Where keyframes are after all that is known by now, as a pose graph finds it. Read-only.
+
+    Attributes:
+        version: rises whenever the pose of a keyframe that was given before has changed; 0 before the first change.
+        poses: X_MB by `Keyframe.index`.
+    """
+
+    version: int = 0
+    poses: dict[int, RigidTransform] = field(default_factory=dict)
+
+    def __deepcopy__(self, memo: dict) -> "KeyframePoses":
+        return self
+
+    def of(self, keyframe: Keyframe) -> RigidTransform:
+        """The pose of `keyframe`: its own where nothing else is known."""
+        return self.poses.get(keyframe.index, keyframe.X_MB)
+
+    def moved(self, keyframes: Iterable[Keyframe]) -> tuple[Keyframe, ...]:
+        """`keyframes` at these poses."""
+        return tuple(k if self.of(k) is k.X_MB else replace(k, X_MB=self.of(k)) for k in keyframes)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from ..config import check_config
 from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
 from ..sensing import Scan
+from .keyframe import KeyframePoses
 from .motion import interpolate
-from .scan_tracking import ScanMatcherConfig, Track, track_scan
+from .scan_tracking import ScanMatcherConfig, Track, correct_track, track_scan
 
 # Odometry is remembered for this many periods; a scan that started earlier is de-skewed with the oldest pose.
 _HISTORY = 50
@@ -39,6 +40,7 @@ class ScanMatcher(LeafSystem):
         input_ports:
         - scan_S
         - X_OB
+        - keyframe_poses
         output_ports:
         - X_MB
         - keyframe
@@ -54,6 +56,8 @@ class ScanMatcher(LeafSystem):
 
     - `X_OB` (`RigidTransform`): odometry, pose of the base B in O; this optional port is there with `with_odometry`.
       Scans closer to the last attempt than `keyframe_distance` and `keyframe_angle_deg` are then not registered.
+    - `keyframe_poses` (`KeyframePoses`): where a pose graph finds the keyframes to be; this optional port is there
+      with `with_corrections`. The local map and the robot move with them.
     - `X_MB` (`RigidTransform`): pose of B in the map M, now: X_MB = X_MO X_OB(now) with X_MO from the last keyframe.
       Without odometry it is the pose at the end of the last registered scan.
     - `keyframe` (`Keyframe`): the last registered scan; index -1 and an empty cloud before there is one.
@@ -77,6 +81,7 @@ class ScanMatcher(LeafSystem):
         X_BS: RigidTransform | None = None,
         X_MB0: RigidTransform | None = None,
         with_odometry: bool = True,
+        with_corrections: bool = False,
     ):
         """
         Args:
@@ -93,6 +98,9 @@ class ScanMatcher(LeafSystem):
         self.DeclareAbstractInputPort("scan_S", AbstractValue.Make(object()))
         if with_odometry:
             self.DeclareAbstractInputPort("X_OB", AbstractValue.Make(RigidTransform()))
+        self._with_corrections = with_corrections
+        if with_corrections:
+            self.DeclareAbstractInputPort("keyframe_poses", AbstractValue.Make(KeyframePoses()))
         start = _Matcher(Track(X_MB0 or RigidTransform()))
         state = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._Match)
@@ -113,6 +121,9 @@ class ScanMatcher(LeafSystem):
         scan = eval_typed(self, context, "scan_S", Scan)
         matcher = self._matcher(context)
         track, history = matcher.track, matcher.history
+        if self._with_corrections:
+            poses = eval_typed(self, context, "keyframe_poses", KeyframePoses)
+            track = correct_track(track, poses, self._config)
         span = None
         if self._with_odometry:
             # A copy: what the port gives is a reference to its cache, which will hold the next pose.

@@ -13,7 +13,7 @@ from ..clouds import VoxelCloud, estimate_normals, transform_points, voxel_filte
 from ..config import quantity
 from ..registration import Registration, RegistrationConfig, register
 from ..sensing import Scan, deskew
-from .keyframe import NO_KEYFRAME, Keyframe, PoseHealth
+from .keyframe import NO_KEYFRAME, Keyframe, KeyframePoses, PoseHealth
 from .motion import distance_and_angle, scale_motion
 
 REFERENCES = ("local_map", "previous_keyframe")
@@ -76,6 +76,7 @@ class Track:
         mapped: keyframes that the local map is taken from.
         target: the local map in M, with normals.
         failures: attempts that failed in a row.
+        poses_version: of the corrections that are applied, see `correct_track`.
     """
 
     X_MB: RigidTransform
@@ -89,6 +90,7 @@ class Track:
     mapped: tuple[Keyframe, ...] = ()
     target: PointCloud | None = None
     failures: int = 0
+    poses_version: int = 0
     health: PoseHealth = PoseHealth(False, 0.0, "no scan yet", 0.0, 0, 0)
 
     def __deepcopy__(self, memo: dict) -> "Track":
@@ -146,6 +148,20 @@ def track_scan(
     placed = _accept(replace(track, mapped=()), scan, cloud_B, result, X_OB, config)
     reason = f"{track.health.reason}; new local map by dead reckoning after {track.failures} failures"
     return replace(placed, health=replace(track.health, reason=reason))
+
+
+def correct_track(track: Track, poses: KeyframePoses, config: ScanMatcherConfig) -> Track:
+    """Moves the keyframes, and with the last one the robot, to where a pose graph has found them to be."""
+    if poses.version == track.poses_version:
+        return track
+    mapped = poses.moved(track.mapped)
+    (keyframe,) = poses.moved((track.keyframe,))
+    X_MM = keyframe.X_MB @ track.keyframe.X_MB.inverse()
+    target = local_map(choose_keyframes(mapped, config), config) if mapped else track.target
+    corrected = replace(track, mapped=mapped, keyframe=keyframe, target=target, X_MB=X_MM @ track.X_MB)
+    # Without odometry the last attempt is noted in M.
+    tried_at = X_MM @ track.tried_at if track.X_OB is None else track.tried_at
+    return replace(corrected, tried_at=tried_at, poses_version=poses.version)
 
 
 def prepare_cloud(scan: Scan, X_BS: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> PointCloud:
@@ -238,7 +254,8 @@ def _accept(
 ) -> Track:
     used = track.health.scans_used + 1
     health = PoseHealth(True, result.health, result.reason, scan.end_time, used, track.health.scans_skipped)
-    keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health)
+    X_PB = track.keyframe.X_MB.inverse() @ result.X_TS if track.keyframe.index >= 0 else None
+    keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health, X_PB)
     elapsed = scan.end_time - track.time
     measured_before = track.target is not None and track.failures == 0 and elapsed > 0
     accepted = replace(

@@ -9,9 +9,9 @@ import open3d as o3d
 import pytest
 from naraha.systems.registration import RegistrationConfig
 from naraha.systems.sensing import Scan
-from naraha.systems.slam import ScanMatcherConfig, Track, track_scan
+from naraha.systems.slam import KeyframePoses, ScanMatcherConfig, Track, track_scan
 from naraha.systems.slam.motion import distance_and_angle, scale_motion
-from naraha.systems.slam.scan_tracking import choose_keyframes, prepare_cloud
+from naraha.systems.slam.scan_tracking import choose_keyframes, correct_track, prepare_cloud
 from pydrake.math import RigidTransform
 
 from tests.rooms import make_cloud, pose, room_points, room_scan
@@ -264,3 +264,34 @@ def test_a_copy_of_the_track_is_the_track():
     assert copy.deepcopy(track) is track
     assert copy.deepcopy(track.keyframe) is track.keyframe
     assert copy.deepcopy(track.health) is track.health
+
+
+def test_a_correction_moves_the_robot_and_its_local_map_and_tracking_goes_on_there():
+    X_WB, config = path(16), ScanMatcherConfig()
+    X_OB = slipping(X_WB)
+    track = follow(X_WB[:10], config, X_OB[:10])[-1]
+    assert track.keyframe.X_PB is not None
+    X_MM = pose(0.3, -0.2, 0.1, yaw=0.2)  # the whole map turns out to lie elsewhere
+    poses = KeyframePoses(1, {k.index: X_MM @ k.X_MB for k in track.mapped})
+    corrected = correct_track(track, poses, config)
+    assert correct_track(corrected, poses, config) is corrected
+    moved, _ = distance_and_angle((X_MM @ track.X_MB).inverse() @ corrected.X_MB)
+    assert moved < 1e-9
+    for i in range(10, 16):
+        corrected = track_scan(corrected, scan_at(X_WB[i], i), X_BS, config, (X_OB[i], X_OB[i]))
+    assert corrected.health.scans_skipped == 0
+    off, _ = distance_and_angle((X_MM @ X_WB[15]).inverse() @ corrected.X_MB)
+    assert off < 0.02
+
+
+def test_a_keyframe_knows_its_motion_since_the_one_before_whatever_the_map_does_in_between():
+    X_WB, config = path(16), ScanMatcherConfig()
+    X_OB = slipping(X_WB)
+    track = follow(X_WB[:10], config, X_OB[:10])[-1]
+    before = track.keyframe
+    track = correct_track(track, KeyframePoses(1, {k.index: pose(y=5.0) @ k.X_MB for k in track.mapped}), config)
+    for i in range(10, 13):
+        track = track_scan(track, scan_at(X_WB[i], i), X_BS, config, (X_OB[i], X_OB[i]))
+    assert track.keyframe.index == 12 != before.index
+    off, _ = distance_and_angle(X_WB[before.index].inverse() @ X_WB[12] @ track.keyframe.X_PB.inverse())
+    assert off < 0.02

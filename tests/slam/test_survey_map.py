@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import open3d as o3d
 import pytest
-from naraha.systems.slam import Keyframe, SurveyMap
+from naraha.systems.slam import Keyframe, KeyframePoses, SurveyMap
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
@@ -52,3 +52,31 @@ def test_a_keyframe_that_comes_again_after_the_next_is_left_out():
     cloud, keyframes = mapped([first, second, dataclasses.replace(first)])
     assert keyframes == (first, second)
     assert cloud.point["count"].numpy().sum() == 2
+
+
+def test_keyframes_move_when_the_pose_graph_has_found_them_elsewhere():
+    simulator = Simulator(system := SurveyMap(with_corrections=True))
+    context = simulator.get_mutable_context()
+    poses = KeyframePoses()
+    for i in range(3):
+        system.GetInputPort("keyframe").FixValue(context, Value(keyframe(i, [[0.05, 0.05, 0.05]], x=float(i))))
+        system.GetInputPort("keyframe_poses").FixValue(context, Value(poses))
+        simulator.AdvanceTo(0.1 * i + 0.05)
+    poses = KeyframePoses(1, {i: RigidTransform([i, 0.5, 0]) for i in range(1, 3)})
+    system.GetInputPort("keyframe_poses").FixValue(context, Value(poses))
+    simulator.AdvanceTo(0.35)
+    cloud, keyframes = (system.GetOutputPort(name).Eval(context) for name in ("map_M", "keyframes"))
+    expected = [[0.05, 0.05, 0.05], [1.05, 0.55, 0.05], [2.05, 0.55, 0.05]]
+    np.testing.assert_allclose(cloud.point.positions.numpy(), expected, atol=1e-6)
+    assert [k.X_MB.translation()[1] for k in keyframes] == [0, 0.5, 0.5]
+
+
+def test_nothing_is_laid_out_anew_while_the_corrections_stay_the_same():
+    simulator = Simulator(system := SurveyMap(with_corrections=True))
+    context = simulator.get_mutable_context()
+    system.GetInputPort("keyframe").FixValue(context, Value(keyframe(0, [[0.05, 0.05, 0.05]])))
+    system.GetInputPort("keyframe_poses").FixValue(context, Value(KeyframePoses(1, {0: RigidTransform([0, 1, 0])})))
+    simulator.AdvanceTo(0.05)
+    first = system.GetOutputPort("map_M").Eval(context)
+    simulator.AdvanceTo(1.05)
+    assert system.GetOutputPort("map_M").Eval(context) is first
