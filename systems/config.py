@@ -22,6 +22,7 @@ def quantity(
     low: float = -math.inf,
     high: float = math.inf,
     choices: tuple[str, ...] = (),
+    min_length: int = 0,
 ) -> Any:
     """Declares a dataclass field with a unit and a valid range.
 
@@ -30,8 +31,9 @@ def quantity(
         unit: unit of the value, shown in errors.
         above: exclusive lower bound. low, high: inclusive bounds. Bounds hold for every entry of a list.
         choices: valid values of a string.
+        min_length: of a list.
     """
-    metadata = {"unit": unit, "above": above, "low": low, "high": high, "choices": choices}
+    metadata = {"unit": unit, "above": above, "low": low, "high": high, "choices": choices, "min_length": min_length}
     if isinstance(default, (list, dict)):
         return dataclasses.field(default_factory=lambda: default.copy(), metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
@@ -71,6 +73,10 @@ def _check_range(value: Any, bounds: Any, where: object, key: str) -> None:
         numbers = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError):
         raise ConfigError("not a number", where=where, key=key, value=value, valid=_range_in_words(bounds)) from None
+    if len(numbers) < bounds["min_length"]:
+        valid = f"at least {bounds['min_length']}, each {_range_in_words(bounds)}"
+        wrong = "too few" if len(numbers) else "must not be empty"
+        raise ConfigError(wrong, where=where, key=key, value=value, valid=valid)
     inside = np.isfinite(numbers) & (numbers > bounds["above"])
     inside &= (numbers >= bounds["low"]) & (numbers <= bounds["high"])
     if not inside.all():

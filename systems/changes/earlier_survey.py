@@ -114,7 +114,7 @@ def align_to_earlier(
         return Alignment(guess, 0.0, float("inf"), 0.0, 0.0, 0.0, False, result.reason)
     points = new_K.point.positions.numpy()
     p_MP = transform_points(result.X_TS.GetAsMatrix4(), points[np.isfinite(points).all(axis=1)].astype(float))
-    normals = map_normals(p_MP, config.alignment.normal_radius)
+    normals = map_normals(p_MP, config.alignment.icp.normal_radius)
     upright = (normals != 0).any(axis=1) & (np.abs(normals[:, 2]) < 0.5)
     p_MP = p_MP[upright]
     there = _near(p_MP, earlier.map_M.point.positions.numpy(), config.tolerance)

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from ..clouds import estimate_normals
 from ..config import quantity
 from ..hazards.regions import group_points
-from ..registration import RegistrationConfig
+from ..registration import IcpConfig, RegistrationConfig
 from .seen_space import SeenSpace
 from .sight import Rays, SeenSpaceConfig, look_again
 
@@ -18,9 +18,8 @@ CHANGES = ("unchanged", "appeared", "vanished", "filled in", "not seen again")
 
 def _alignment() -> RegistrationConfig:
     return RegistrationConfig(
-        max_distances=[1.0, 0.5, 0.25],
-        source_voxel=0.2,
-        normal_radius=0.4,
+        method="point_to_plane",
+        icp=IcpConfig(max_distances=[1.0, 0.5, 0.25], source_voxel=0.2, normal_radius=0.4),
         inlier_distance=0.15,
         max_correction=1.5,
         max_correction_deg=15.0,

@@ -1,11 +1,41 @@
 """Which motions the surfaces around a robot hold, and what to do about the others."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.linalg
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
 
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """How firmly surfaces hold a rigid body.
+
+    Attributes:
+        values: part of each motion that is felt, ascending, (6,) in [0, 1]; see `constraint`.
+        motions: the motions as columns (6, 6).
+        centre: the point (3,) that they turn about [m].
+        radius: of the points around it, root mean square [m].
+    """
+
+    values: np.ndarray
+    motions: np.ndarray
+    centre: np.ndarray
+    radius: float
+
+    def names(self, which: np.ndarray) -> str:
+        """What motions turn about or go along, for people: the axes nearest to those of the mask `which` (6,)."""
+        return ", ".join(sorted({AXES[int(np.abs(self.motions[:, i]).argmax())] for i in np.flatnonzero(which)}))
+
+    def at_point(self, point: np.ndarray) -> np.ndarray:
+        """(6, 6) that takes shares of the motions to turn [rad] and shift [m] of `point` (3,)."""
+        to_point = np.eye(6)
+        to_point[:3, :3] /= self.radius
+        to_point[3:, :3] = -_cross(point - self.centre) / self.radius  # ω × (point − c)
+        return to_point @ self.motions
 
 
 def constraint(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -20,19 +50,51 @@ def constraint(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.
         λ in ascending order, (6,), and the motions as columns, (6, 6), scaled to vᵀMv = 1. Turns are in units of 1/r,
         r the root mean square distance of the points from c, and so of the size of the shifts.
     """
+    hold = hold_of(points, normals)
+    return hold.values, hold.motions
+
+
+def hold_of(points: np.ndarray, normals: np.ndarray) -> Hold:
+    """`constraint` with the centre and radius that it is about."""
+    centre = points.mean(axis=0)
+    lever = points - centre
+    jacobian = np.hstack([np.cross(lever, normals), normals])
     count = max(len(points), 1)
-    centre, radius = _size(points)
-    lever = (points - centre) / radius
-    felt = np.hstack([np.cross(lever, normals), normals])
-    cross = np.zeros((len(points), 3, 3))  # of d = -[lever]x ω + t
-    x, y, z = lever.T
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
-    moved = np.concatenate([cross - cross.transpose(0, 2, 1), np.broadcast_to(np.eye(3), cross.shape)], axis=2)
-    moved = moved.reshape(-1, 6)
-    M = moved.T @ moved / count
+    return hold_from_sums(jacobian.T @ jacobian / count, lever.mean(axis=0), lever.T @ lever / count, centre)
+
+
+def hold_from_sums(hessian: np.ndarray, mean: np.ndarray, second: np.ndarray, centre: np.ndarray) -> Hold:
+    """The same from weighted means over the points, with lever arms l = p − centre.
+
+    Args:
+        hessian: mean of J Jᵀ, J = [l × n, n], (6, 6).
+        mean, second: means of l (3,) and of l lᵀ (3, 3).
+    """
+    radius = max(float(np.sqrt(np.trace(second))), 1e-12)
+    M = np.eye(6)
+    M[:3, :3] = (np.trace(second) * np.eye(3) - second) / radius**2
+    M[3:, :3] = -_cross(mean) / radius
+    M[:3, 3:] = M[3:, :3].T
     M += 1e-9 * np.eye(6)  # for points on one line, which a turn about it does not move
-    values, motions = scipy.linalg.eigh(felt.T @ felt / count, M)
-    return values, motions
+    unit = np.array([1 / radius] * 3 + [1.0] * 3)
+    values, motions = scipy.linalg.eigh(hessian * np.outer(unit, unit), M, check_finite=False)
+    return Hold(values, motions, centre, radius)
+
+
+def moved(X_TS: RigidTransform, hold: Hold, shares: np.ndarray) -> RigidTransform:
+    """The pose X_TS after `shares` (6,) of the motions of `hold`: a turn about its centre and a shift [m]."""
+    motion = hold.motions @ shares
+    R = RotationMatrix(Rotation.from_rotvec(motion[:3] / hold.radius).as_matrix())
+    return RigidTransform(R, hold.centre - R.matrix() @ hold.centre + motion[3:]) @ X_TS
+
+
+def motion_from(X_TS: RigidTransform, X_TS_other: RigidTransform, hold: Hold) -> np.ndarray:
+    """Shares (6,) of the motions of `hold` that lead from X_TS to another pose, to first order in the turn."""
+    change = X_TS_other @ X_TS.inverse()
+    turn = Rotation.from_matrix(change.rotation().matrix()).as_rotvec()
+    shift = change.multiply(hold.centre) - hold.centre
+    shares: np.ndarray = np.linalg.solve(hold.motions, np.concatenate([hold.radius * turn, shift]))
+    return shares
 
 
 def undo_unheld_motion(
@@ -48,18 +110,13 @@ def undo_unheld_motion(
         motions: columns as from `constraint` for these points.
         held: which of them are to be kept, (6,) bool.
     """
-    centre, radius = _size(p_TS)
-    change = X_TS @ X_TS_guess.inverse()
-    turn = Rotation.from_matrix(change.rotation().matrix()).as_rotvec()
-    shift = centre - change.inverse().multiply(centre)
-    shares = np.linalg.solve(motions, np.concatenate([radius * turn, shift]))
-    unheld = motions @ np.where(held, 0.0, shares)
-    R = RotationMatrix(Rotation.from_rotvec(-unheld[:3] / radius).as_matrix())
-    # Turns back about the centre and shifts back.
-    return RigidTransform(R, centre - R.matrix() @ centre - unheld[3:]) @ X_TS
+    centre = p_TS.mean(axis=0)
+    radius = max(float(np.sqrt(((p_TS - centre) ** 2).sum(axis=1).mean())), 1e-12)
+    hold = Hold(np.zeros(6), motions, centre, radius)
+    return moved(X_TS, hold, np.where(held, 0.0, motion_from(X_TS, X_TS_guess, hold)))
 
 
-def _size(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centroid and root mean square distance from it."""
-    centre = points.mean(axis=0)
-    return centre, max(float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean())), 1e-12)
+def _cross(v: np.ndarray) -> np.ndarray:
+    """The matrix that takes w to v × w."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

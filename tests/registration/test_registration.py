@@ -1,12 +1,16 @@
 """Registration: right on clouds that fit, and never silently wrong on clouds that do not."""
 
+import copy
+
 import numpy as np
 import open3d as o3d
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naraha.systems.clouds import estimate_normals, voxel_filter
-from naraha.systems.registration import METHODS, RegistrationConfig, register
+from naraha.systems.config import check_config
+from naraha.systems.errors import ConfigError
+from naraha.systems.registration import METHODS, IcpConfig, RegistrationConfig, SurfacesConfig, prepare_target, register
 from naraha.systems.slam.motion import distance_and_angle
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -31,13 +35,16 @@ def test_every_method_finds_the_pose_of_a_scan_in_the_room(method, room):
     result = register(scan, room, guess, RegistrationConfig(method=method))
     assert result.valid, result.reason
     distance, angle = error(result.X_TS, X_WS)
-    assert distance < (0.02 if method == "point_to_plane" else 0.06)
-    assert angle < 0.01
+    assert distance < {"surfaces": 0.004, "point_to_plane": 0.02}.get(method, 0.06)
+    assert angle < (0.001 if method == "surfaces" else 0.01)
     assert result.fitness > 0.95
     assert result.inliers > 1000
     assert 0 < result.inlier_rmse < 0.2
     assert 0.5 < result.health <= 1
     assert result.reason == ""
+    assert [axis.fixed_by for axis in result.axes] == ["geometry"] * 6
+    assert np.linalg.eigvalsh(result.covariance).min() > 0
+    assert np.sqrt(np.trace(result.covariance[3:, 3:])) < 0.05
 
 
 @pytest.mark.parametrize("kernel", ["tukey", "geman_mcclure"])
@@ -49,8 +56,10 @@ def test_a_robust_kernel_ignores_what_was_not_there_before(kernel, room):
     scan = make_cloud(np.vstack([room_scan(rng, X_WS), new]))
     guess = X_WS @ pose(0.1, 0.1, 0.0, yaw=0.05)
     scale = {"tukey": 0.2, "geman_mcclure": 0.1}[kernel]  # Geman-McClure has the longer tail
-    robust = register(scan, room, guess, RegistrationConfig(kernel=kernel, kernel_scale=scale))
-    plain = register(scan, room, guess, RegistrationConfig(kernel="none"))
+    robust = register(
+        scan, room, guess, RegistrationConfig(method="point_to_plane", icp=IcpConfig(kernel=kernel, kernel_scale=scale))
+    )
+    plain = register(scan, room, guess, RegistrationConfig(method="point_to_plane", icp=IcpConfig(kernel="none")))
     assert robust.valid
     assert error(robust.X_TS, X_WS)[0] < 0.03
     assert error(robust.X_TS, X_WS)[0] < 0.5 * error(plain.X_TS, X_WS)[0]
@@ -60,10 +69,10 @@ def test_turns_of_the_guess_find_a_scan_that_was_turned_far(room):
     X_WS = pose(1.0, -0.5, 1.2, yaw=0.9)
     scan = make_cloud(room_scan(np.random.default_rng(3), X_WS))
     guess = X_WS @ pose(z=0, yaw=np.deg2rad(48))
-    narrow = [0.6, 0.3]
-    without = register(scan, room, guess, RegistrationConfig(max_distances=narrow, retry_yaws_deg=[]))
-    assert not without.valid or error(without.X_TS, X_WS)[0] > 0.1
-    found = register(scan, room, guess, RegistrationConfig(max_distances=narrow))
+    narrow = SurfacesConfig(first_width=0.3, first_reach=0.5)
+    without = register(scan, room, guess, RegistrationConfig(surfaces=narrow, retry_yaws_deg=[]))
+    assert not without.valid or error(without.X_TS, X_WS)[1] > 0.3
+    found = register(scan, room, guess, RegistrationConfig(surfaces=narrow))
     assert found.valid, found.reason
     assert error(found.X_TS, X_WS)[0] < 0.02
 
@@ -72,9 +81,9 @@ REJECTED = {
     "empty": (lambda rng, scan: np.zeros((0, 3)), "source has 0 usable points"),
     "tiny": (lambda rng, scan: scan[:50], "source has 50 usable points"),
     "NaN": (lambda rng, scan: np.full((500, 3), np.nan), "source has 0 usable points"),
-    "one place": (lambda rng, scan: np.tile(scan[:1], (500, 1)), "source covers 1 voxels"),
+    "one place": (lambda rng, scan: np.tile(scan[:1], (500, 1)), "source has 0 surfels, needs 40"),
     "elsewhere": (lambda rng, scan: scan + 100, "no overlap"),
-    "noise": (lambda rng, scan: rng.uniform(-30, 30, (4000, 3)), "no overlap|too little overlap|jump"),
+    "noise": (lambda rng, scan: rng.uniform(-30, 30, (4000, 3)), "source has|no overlap|too little overlap|jump"),
 }
 
 
@@ -157,13 +166,55 @@ def test_from_any_near_guess_the_result_is_right_or_not_valid(seed, dx, dy, yaw)
     assert not result.valid or error(result.X_TS, X_WS)[0] < 0.05
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_prepared_target_gives_what_the_cloud_itself_gives(method, room):
+    config = RegistrationConfig(method=method)
+    X_WS = pose(0.5, 0.4, 1.0, yaw=0.2)
+    scan = make_cloud(room_scan(np.random.default_rng(8), X_WS))
+    guess = X_WS @ pose(0.1, 0.05, 0.0)
+    prepared = register(scan, prepare_target(room, config), guess, config)
+    assert prepared.X_TS.IsExactlyEqualTo(register(scan, room, guess, config).X_TS)
+    assert copy.deepcopy(prepared) is prepared
+
+
+def test_a_target_prepared_for_another_method_is_refused(room):
+    target = prepare_target(room, RegistrationConfig(method="point_to_plane"))
+    result = register(room, target, RigidTransform())
+    assert result.reason == "the target was prepared for point_to_plane, not for surfaces"
+    assert copy.deepcopy(target) is target
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((6, 6)), -np.eye(6), np.full((6, 6), np.nan), np.eye(3)])
+def test_what_is_no_covariance_is_refused(covariance, room):
+    result = register(room, room, RigidTransform(), guess_covariance=covariance)
+    assert not result.valid
+    assert result.reason == "the covariance of the guess is not positive definite"
+
+
+def test_identical_clouds_lie_where_they_are(room):
+    for method in METHODS:
+        result = register(room, room, RigidTransform(), RegistrationConfig(method=method))
+        assert result.valid
+        # Open3D's source is thinned to means, which are not the target's points.
+        assert result.X_TS.IsNearlyEqualTo(RigidTransform(), 1e-4 if method == "surfaces" else 0.03)
+        assert np.isfinite(result.covariance).all()
+
+
+def test_lists_without_entries_are_refused_by_the_check_of_configurations():
+    with pytest.raises(
+        ConfigError, match=r"icp.max_distances: must not be empty, got \[\] .valid: at least 1, each > 0 m"
+    ):
+        check_config(RegistrationConfig(icp=IcpConfig(max_distances=[])))
+    check_config(RegistrationConfig(retry_yaws_deg=[]))
+
+
 def test_the_same_clouds_give_the_same_bits(room):
     """Open3D's threads add in any order; the result is rounded so that it does not show."""
     X_WS = pose(1.0, -0.5, 1.2, 0.05, -0.03, 0.8)
     scan = make_cloud(room_scan(np.random.default_rng(1), X_WS))
     for method in METHODS:
         config = RegistrationConfig(method=method)
-        results = [register(scan, room, X_WS @ pose(0.2, 0.1, 0.0), config) for _ in range(8)]
+        results = [register(scan, room, X_WS @ pose(0.2, 0.1, 0.0), config) for _ in range(4)]
         assert len({result.X_TS.GetAsMatrix4().tobytes() for result in results}) == 1
         assert len({(result.fitness, result.inlier_rmse, result.health) for result in results}) == 1
 
