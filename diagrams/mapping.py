@@ -16,15 +16,7 @@ from naraha.systems.sensing import (
     write_cloud,
     write_tum,
 )
-from naraha.systems.slam import (
-    ScanMatcher,
-    ScanMatcherConfig,
-    SurveyMap,
-    SurveyMapConfig,
-    map_error,
-    rebuild_map,
-    trajectory_error,
-)
+from naraha.systems.slam import Keyframe, map_error, rebuild_map, trajectory_error
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
@@ -32,12 +24,13 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from .mission import Ending, Mission, Options
 from .recording import BASELINE, ESTIMATE, TRUTH, RecordingConfig, draw_trajectory, start_meshcat, write_recording
+from .slam import SlamStages, add_maps, add_matching, final_poses, slam_metrics, write_occupancy
 from .trajectory import Trajectory
 from .wiring import DiagramReader, connect, export_outputs
 
 
 @dataclass(kw_only=True)
-class MapScenario:
+class MapScenario(SlamStages):
     """Everything that mapping recorded scans can vary."""
 
     description: str = ""
@@ -45,27 +38,17 @@ class MapScenario:
     seed: int = quantity(0, low=0)
     # Period at which scans are replayed [s].
     period: float = quantity(0.1, unit="s", above=0)
-    slam: ScanMatcherConfig = field(default_factory=ScanMatcherConfig)
-    # A second registration, for comparison only; null saves its time.
-    baseline: ScanMatcherConfig | None = None
-    survey_map: SurveyMapConfig = field(default_factory=SurveyMapConfig)
     display: KeyframeDisplayConfig = field(default_factory=KeyframeDisplayConfig)
     # Null leaves no recording.html.
     recording: RecordingConfig | None = field(default_factory=RecordingConfig)
 
 
 def make_mapping(scenario: MapScenario, scans: list[Path], meshcat: Meshcat | None = None) -> Diagram:
-    """Builds the mapping: replay → scan matching → map. The map frame is the sensor's frame at the first scan."""
+    """Builds the mapping: replay → SLAM → maps. The map frame is the sensor's frame at the first scan."""
     builder = DiagramBuilder()
     replay = builder.AddNamedSystem("replay", ScanReplay(scans, period=scenario.period))
-    survey_map = builder.AddNamedSystem("survey_map", SurveyMap(scenario.survey_map))
-    for name, config in (("slam", scenario.slam), ("baseline", scenario.baseline)):
-        if config is not None:
-            matcher = ScanMatcher(config, X_BS=RigidTransform(), X_MB0=RigidTransform(), with_odometry=False)
-            builder.AddNamedSystem(name, matcher)
-            connect(builder, replay, "scan_S", matcher)
-    slam = builder.GetSubsystemByName("slam")
-    connect(builder, slam, "keyframe", survey_map)
+    slam = add_matching(builder, scenario, replay)
+    add_maps(builder, scenario, slam)
     if meshcat is not None:
         display = builder.AddNamedSystem("display", KeyframeDisplay(scenario.display, meshcat))
         connect(builder, slam, "keyframe", display)
@@ -131,16 +114,22 @@ class MapLog(DiagramReader):
             "ok" if health.valid else health.reason
         )
 
+    def keyframes(self) -> tuple[Keyframe, ...]:
+        """What the map is made of, where the pose graph has it in the end."""
+        keyframes: tuple[Keyframe, ...] = self.read("survey_map.keyframes")
+        return final_poses(self).moved(keyframes)
+
     def trajectory(self, name: str) -> Trajectory:
-        """Poses of the placed scans at their recorded times."""
+        """Poses of the placed scans at their recorded times; those of `slam` as the pose graph has them in the end."""
         trajectory = Trajectory()
-        for scan, pose in sorted(self.placed[name].items()):
+        placed = self.placed[name] | (final_poses(self).poses if name == "slam" else {})
+        for scan, pose in sorted(placed.items()):
             trajectory.append(float(self._times[scan]), pose)
         return trajectory
 
     def metrics(self, scenario: MapScenario, truth: Trajectory | None) -> dict[str, float]:
         """Counts, and errors against the given poses with the first scan's pose aligned."""
-        health, keyframes = self.read("slam.health"), self.read("survey_map.keyframes")
+        health, keyframes = self.read("slam.health"), self.keyframes()
         metrics: dict[str, float] = {
             "scans": len(self._scans),
             "scans_mapped": len(self.placed["slam"]),
@@ -162,9 +151,8 @@ class MapLog(DiagramReader):
                 )
                 metrics[f"{prefix}trajectory_error_mean_m"] = mean
                 metrics[f"{prefix}trajectory_error_max_m"] = largest
-                placed = [
-                    (k, self.placed[name][s]) for k, s in zip(keyframes, scans, strict=True) if s in self.placed[name]
-                ]
+                at = dict(zip(trajectory.times, trajectory.poses, strict=True))
+                placed = [(k, at[t]) for k, s in zip(keyframes, scans, strict=True) if (t := self._times[s]) in at]
                 points = rebuild_map([k for k, _ in placed], [X for _, X in placed], scenario.survey_map.voxel_size)
                 metrics[f"{prefix}map_error_m"] = map_error(points.point.positions.numpy(), true_map)
         return metrics
@@ -195,9 +183,13 @@ def map_recorded(folder: Path, truth_file: Path | None, scenario: MapScenario, o
 
     def write_metrics() -> None:
         mission.metrics.update(log.metrics(scenario, truth))
+        mission.metrics.update(slam_metrics(log))
 
     def write_map() -> None:
-        write_cloud(mission.path("survey_map.ply"), log.read("survey_map.map_M"))
+        keyframes = log.keyframes()
+        poses = [keyframe.X_MB for keyframe in keyframes]
+        write_cloud(mission.path("survey_map.ply"), rebuild_map(keyframes, poses, scenario.survey_map.voxel_size))
+        write_occupancy(mission, log)
 
     def write_trajectory() -> None:
         trajectory = log.trajectory("slam")

@@ -9,7 +9,7 @@ from naraha.systems.display import SemanticDisplay
 from naraha.systems.errors import ConfigError
 from naraha.systems.files import replacing
 from naraha.systems.sensing import write_cloud, write_tum
-from naraha.systems.slam import Odometry6Dof, ScanMatcher, SurveyMap
+from naraha.systems.slam import Odometry6Dof
 from naraha.systems.tracking import KanayamaTracking, WaypointTour
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
@@ -18,6 +18,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from .fusion import add_detectors, add_fusion
 from .mission import Mission, Options
 from .recording import start_meshcat, write_recording
+from .slam import add_maps, add_matching, slam_metrics, write_occupancy
 from .station import X_B, make_station
 from .survey_drawing import draw_survey
 from .survey_log import SurveyLog
@@ -26,7 +27,7 @@ from .wiring import connect, export_outputs
 
 
 def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Diagram:
-    """Builds the survey: station → odometry → scan matching → fusion → map → detectors, and tour → tracking → station.
+    """Builds the survey: station → odometry → SLAM → fusion → maps → detectors, and tour → tracking → station.
 
     The map frame M is the world frame W in so far as the robot's start is known: odometry and matching begin at the
     pose that the scenario states. Nothing else of the truth reaches them.
@@ -39,39 +40,32 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     builder.AddSystem(station)
     X_BS = X_B(station, "lidar")
     odometry = builder.AddNamedSystem("odometry", Odometry6Dof(scenario.odometry, X_OB0=X_WB0))
-    slam = builder.AddNamedSystem("slam", ScanMatcher(scenario.slam, X_BS=X_BS, X_MB0=X_WB0))
-    survey_map = builder.AddNamedSystem("survey_map", SurveyMap(scenario.survey_map))
+    slam = add_matching(builder, scenario, station, odometry=odometry, X_BS=X_BS, X_MB0=X_WB0)
     tour = builder.AddNamedSystem("tour", WaypointTour(scenario.tour))
     tracking = builder.AddNamedSystem("tracking", KanayamaTracking(scenario.tracking))
 
     connect(builder, station, "track_displacements", odometry)
     connect(builder, station, "rpy", odometry)
-    connect(builder, station, "scan_S", slam)
-    connect(builder, odometry, "X_OB", slam)
+    mapped, fusion = slam, scenario.fusion
+    if fusion is not None and scenario.head is not None:
+        mapped = add_fusion(builder, fusion, scenario, station=station, odometry=odometry, slam=slam)
+    survey_map = add_maps(builder, scenario, mapped, p_BS=X_BS.translation())
     map_source: tuple[System, str] = (survey_map, "map_M")
     if scenario.earlier:
         earlier = read_survey(scenario.earlier)
         update = SurveyUpdate(earlier, scenario.update, p_BS=X_BS.translation())
         map_source = (builder.AddNamedSystem("update", update), "updated_map_M")
         connect(builder, survey_map, "keyframes", update)
-    mapped = slam
-    if scenario.fusion is not None and scenario.head is not None:
-        fusion = scenario.fusion
-        mapped = add_fusion(builder, fusion, scenario, station=station, odometry=odometry, slam=slam)
+    if fusion is not None and scenario.head is not None:
         add_detectors(
             builder, fusion, scenario, station=station, slam=slam, survey_map=survey_map, map_source=map_source
         )
-    connect(builder, mapped, "keyframe", survey_map)
     connect(builder, slam, "X_MB", tour)
     connect(builder, slam, "X_MB", tracking)
     connect(builder, tour, "reference_pose", tracking)
     connect(builder, tour, "reference_twist", tracking)
     connect(builder, tracking, "twist_command", station)
     connect(builder, tour, "flipper_preset", station)
-    if scenario.baseline is not None:
-        baseline = builder.AddNamedSystem("baseline", ScanMatcher(scenario.baseline, X_BS=X_BS, X_MB0=X_WB0))
-        connect(builder, station, "scan_S", baseline)
-        connect(builder, odometry, "X_OB", baseline)
     if meshcat is not None:
         display = builder.AddNamedSystem("display", SemanticDisplay(scenario.display, meshcat))
         connect(builder, mapped, "keyframe", display)
@@ -115,6 +109,7 @@ def survey(scenario: SurveyScenario, options: Options) -> int:
 
     def write_metrics() -> None:
         mission.metrics.update(log.metrics())
+        mission.metrics.update(slam_metrics(log))
 
     def write_semantic_metrics() -> None:
         mission.metrics.update(log.semantic_metrics())
@@ -123,6 +118,7 @@ def survey(scenario: SurveyScenario, options: Options) -> int:
     def write_map() -> None:
         write_cloud(mission.path("survey_map.ply"), log.map_M())
         write_seen(mission.path("survey_seen.npz"), log.seen_space())
+        write_occupancy(mission, log)
         if log.updated:
             write_changes(mission.path("changes.csv"), log.read("update.changes"))
 

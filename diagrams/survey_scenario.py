@@ -5,16 +5,17 @@ from dataclasses import dataclass, field
 from naraha.systems.changes import SurveyUpdateConfig
 from naraha.systems.config import quantity
 from naraha.systems.display import SemanticDisplayConfig
-from naraha.systems.slam import OdometryConfig, ScanMatcherConfig, SurveyMapConfig
+from naraha.systems.slam import OdometryConfig
 from naraha.systems.tracking import KanayamaConfig, TourConfig
 
 from .fusion import FusionConfig
 from .recording import RecordingConfig
+from .slam import SlamStages
 from .station import StationConfig
 
 
 @dataclass(kw_only=True)
-class SurveyScenario(StationConfig):
+class SurveyScenario(StationConfig, SlamStages):
     """Everything that a survey can vary."""
 
     description: str = ""
@@ -27,11 +28,6 @@ class SurveyScenario(StationConfig):
     # The survey fails when the robot is tilted more than this [rad].
     tip_over_angle: float = quantity(1.2, unit="rad", above=0)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    # Registration that steers the robot and makes the map.
-    slam: ScanMatcherConfig = field(default_factory=ScanMatcherConfig)
-    # A second registration, for comparison only; null saves its time.
-    baseline: ScanMatcherConfig | None = None
-    survey_map: SurveyMapConfig = field(default_factory=SurveyMapConfig)
     # What is made of the images and counts of the station's `head`; null, or no head, maps the LiDAR's points alone.
     fusion: FusionConfig | None = None
     # Folder of an earlier survey of the same place, which this one brings up to date; none when empty.

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from open3d.t.geometry import PointCloud
 
+from ..registration import incidence_cosines, is_organised
+
 # Names under which a channel may be found in a cloud, the first that is there counts. A reflectivity is calibrated.
 ALIASES = {
     "intensity": ("reflectivity", "intensity"),
@@ -27,6 +29,8 @@ RANGE_EDGES = np.exp2(np.arange(-2, 17) / 2)
 RANGE_CENTRES = np.sqrt(RANGE_EDGES[1:] * RANGE_EDGES[:-1])
 # [points] So many of a cloud are enough.
 _ENOUGH = 10_000
+# Cosine of the incidence below which intensity says nothing of the surface.
+_GRAZING = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,7 @@ class ClassCounts:
         near = bin_of(point_ranges(cloud), RANGE_EDGES)
         every = max(len(near) // _ENOUGH, 1)
         near = near[::every]
-        values = {name: None if value is None else value[::every] for name in EDGES for value in [channel(cloud, name)]}
+        values = {name: None if value is None else value[::every] for name, value in channels(cloud).items()}
         histograms = dict(self.histograms)
         for name, value in values.items():
             if value is not None:
@@ -83,11 +87,26 @@ def point_ranges(cloud: PointCloud) -> np.ndarray:
     return np.sqrt(np.einsum("ij,ij->i", points, points))
 
 
+def channels(cloud: PointCloud) -> dict[str, np.ndarray | None]:
+    """Values of every channel of `EDGES`, (N,), None where the cloud does not have it.
+
+    What a LiDAR calls intensity falls with the cosine of the incidence, so that a floor is dark from some distance on,
+    wherever the robot is: classes would move with it, and say that it stands still. In clouds with rings intensity is
+    divided by that cosine, and not known where it is below 0.1 or where there is no plane.
+    """
+    values = {name: channel(cloud, name) for name in EDGES}
+    if values["intensity"] is not None and is_organised(cloud):
+        cosines = incidence_cosines(cloud)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values["intensity"] = np.where(cosines > _GRAZING, values["intensity"] / cosines, np.nan)
+    return values
+
+
 def channel(cloud: PointCloud, name: str) -> np.ndarray | None:
     """Values of a channel of `EDGES`, (N,) float, under any of its names; None where the cloud has none of them."""
     for alias in ALIASES[name]:
         if alias in cloud.point:
-            return cloud.point[alias].numpy().astype(float).reshape(len(cloud.point.positions), -1)[:, 0]
+            return cloud.point[alias].numpy().astype(float).reshape(len(cloud.point.positions), 1)[:, 0]
     return None
 
 

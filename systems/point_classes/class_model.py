@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from open3d.t.geometry import PointCloud
 
-from .class_counts import EDGES, JOINT_EDGES, RANGE_CENTRES, ClassCounts, channel, point_ranges
+from .class_counts import EDGES, JOINT_EDGES, RANGE_CENTRES, ClassCounts, bin_of, channels, point_ranges
 from .levels import Levels, find_levels
 from .trend import RangeTrend, find_trend, without_trend
 
@@ -13,6 +13,7 @@ _INTENSITY, _NIR = ("dark", "usual", "bright"), ("dark", "bright")
 # Classes in the order of the columns of `class_probabilities`: LiDAR intensity × near-infrared, then heat and dose.
 CLASS_NAMES = (*(f"lidar_{a}_nir_{b}" for a in _INTENSITY for b in _NIR), "heat", "dose")
 _SURFACES = len(_INTENSITY) * len(_NIR)
+_BIN_CENTRES = np.sqrt(EDGES["intensity"][1:] * EDGES["intensity"][:-1])
 # A class is rare below this share of the points, if it has any (S2-a names those with clearly fewer).
 _RARE = 0.1
 # Hot is as in hazards.HeatConfig: 15 K and 5 robust standard deviations above the median.
@@ -93,14 +94,25 @@ def class_probabilities(cloud: PointCloud, model: ClassModel) -> np.ndarray:
     other channels: the point then says nothing about it. Where nothing is known, the row is `model.shares`.
     """
     count = len(cloud.point.positions) if "positions" in cloud.point else 0
-    levels = {"intensity": model.intensity, "nir": model.nir, "temperature": model.heat, "dose_rate": model.dose}
+    ranges, values = point_ranges(cloud), {}
     trends = dict(zip(("intensity", "nir"), model.trends, strict=True))
-    ranges, known = point_ranges(cloud), {}
-    for name, one in levels.items():
-        values = channel(cloud, name)
-        if values is not None and name in trends:
-            values = values / trends[name].factor(ranges)
-        known[name] = np.full((count, 3), np.nan) if values is None else one.probabilities(values)
+    for name, found in channels(cloud).items():
+        if found is not None:
+            values[name] = found / trends[name].factor(ranges) if name in trends else found
+    if set(values) == {"intensity"}:
+        # What has one channel has one row for each of its bins, and most scans have no other.
+        rows = _rows({"intensity": np.append(_BIN_CENTRES, np.nan)}, len(_BIN_CENTRES) + 1, model)
+        return rows[bin_of(values["intensity"], EDGES["intensity"])]
+    return _rows(values, count, model)
+
+
+def _rows(values: dict[str, np.ndarray], count: int, model: ClassModel) -> np.ndarray:
+    """Probabilities (N, K) of N points with these channels, without trends."""
+    levels = {"intensity": model.intensity, "nir": model.nir, "temperature": model.heat, "dose_rate": model.dose}
+    known = {
+        name: one.probabilities(values[name]) if name in values else np.full((count, 3), np.nan)
+        for name, one in levels.items()
+    }
     surfaces = model.shares[:_SURFACES].reshape(len(_INTENSITY), len(_NIR))
     joint = surfaces / max(float(surfaces.sum()), 1e-12)
     with np.errstate(divide="ignore", invalid="ignore"):

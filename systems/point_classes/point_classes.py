@@ -19,8 +19,8 @@ from .class_model import ClassModel, class_probabilities, fit_class_model
 class PointClassesConfig:
     """When and how long classes are learnt."""
 
-    # [s] How often it looks for a new scan.
-    period: float = quantity(0.1, unit="s", above=0)
+    # [s] How often it learns from a scan: the next one is much like the last.
+    period: float = quantity(1.0, unit="s", above=0)
     # [scans] After so many the model stays as it is; 0 learns for ever.
     learn_scans: int = quantity(0, unit="scans", low=0)
 
@@ -61,7 +61,7 @@ class PointClasses(LeafSystem):
       own histograms.
     - `class_model` (`ClassModel`): thresholds, shares and which classes are rare.
 
-    Every `period` a scan with a new index is added to the histograms and the model is fitted again.
+    Every `period` the scan is added to the histograms, if its index is new, and the model is fitted again.
 
     Raises:
         ConfigError: a value of the configuration is out of range.

@@ -104,6 +104,8 @@ def _make_cloud(columns: Columns) -> PointCloud:
 def write_cloud(path: str | os.PathLike[str], cloud: PointCloud) -> None:
     """Writes `cloud` with its attributes as binary PLY. `path` holds the whole of it or what it held before.
 
+    An attribute of several columns, such as `class_probabilities`, becomes one property a column: `<name>_0`, …
+
     Raises:
         ScanFileError: not a .ply path, an empty cloud, or a folder that cannot be written.
     """
@@ -117,8 +119,20 @@ def write_cloud(path: str | os.PathLike[str], cloud: PointCloud) -> None:
     try:
         with replacing(path) as temporary:
             with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-                written = o3d.t.io.write_point_cloud(str(temporary), cloud)
+                written = o3d.t.io.write_point_cloud(str(temporary), _single_columns(cloud))
             if not written:
                 raise ScanFileError("cannot be written", where=path)
     except OSError as error:
         raise ScanFileError(f"cannot be written ({error.strerror})", where=path) from None
+
+
+def _single_columns(cloud: PointCloud) -> PointCloud:
+    """`cloud` with attributes of one column each, which is all that PLY has; but for those that Open3D knows."""
+    single = PointCloud()
+    for name, values in cloud.point.items():
+        if name in ("positions", "normals", "colors") or values.ndim != 2 or values.shape[1] <= 1:
+            single.point[name] = values
+        else:
+            for column in range(values.shape[1]):
+                single.point[f"{name}_{column}"] = values[:, column : column + 1].contiguous()
+    return single

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from ..config import check_config
-from ..errors import ConfigError
+from ..point_classes import ClassModel
 from ..ports import eval_typed, weak_method
 from ..sensing import Scan
 from .keyframe import KeyframePoses
@@ -41,6 +41,7 @@ class ScanMatcher(LeafSystem):
         - scan_S
         - X_OB
         - keyframe_poses
+        - class_model
         output_ports:
         - X_MB
         - keyframe
@@ -58,6 +59,8 @@ class ScanMatcher(LeafSystem):
       Scans closer to the last attempt than `keyframe_distance` and `keyframe_angle_deg` are then not registered.
     - `keyframe_poses` (`KeyframePoses`): where a pose graph finds the keyframes to be; this optional port is there
       with `with_corrections`. The local map and the robot move with them.
+    - `class_model` (`ClassModel`): classes that scans are registered by, beside their geometry; this optional port is
+      there with `with_classes`.
     - `X_MB` (`RigidTransform`): pose of B in the map M, now: X_MB = X_MO X_OB(now) with X_MO from the last keyframe.
       Without odometry it is the pose at the end of the last registered scan.
     - `keyframe` (`Keyframe`): the last registered scan; index -1 and an empty cloud before there is one.
@@ -82,6 +85,7 @@ class ScanMatcher(LeafSystem):
         X_MB0: RigidTransform | None = None,
         with_odometry: bool = True,
         with_corrections: bool = False,
+        with_classes: bool = False,
     ):
         """
         Args:
@@ -91,8 +95,6 @@ class ScanMatcher(LeafSystem):
         super().__init__()
         self._config = config or ScanMatcherConfig()
         check_config(self._config)
-        if not self._config.registration.max_distances:
-            raise ConfigError("must not be empty", key="registration.max_distances")
         self._X_BS = X_BS or RigidTransform()
         self._with_odometry = with_odometry
         self.DeclareAbstractInputPort("scan_S", AbstractValue.Make(object()))
@@ -101,6 +103,9 @@ class ScanMatcher(LeafSystem):
         self._with_corrections = with_corrections
         if with_corrections:
             self.DeclareAbstractInputPort("keyframe_poses", AbstractValue.Make(KeyframePoses()))
+        self._with_classes = with_classes
+        if with_classes:
+            self.DeclareAbstractInputPort("class_model", AbstractValue.Make(object()))
         start = _Matcher(Track(X_MB0 or RigidTransform()))
         state = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._Match)
@@ -132,7 +137,8 @@ class ScanMatcher(LeafSystem):
             if track.X_OB is None:
                 track = replace(track, X_OB=X_OB)
             span = odometry_at(history, scan.start_time), odometry_at(history, scan.end_time)
-        track = track_scan(track, scan, self._X_BS, self._config, span)
+        model = eval_typed(self, context, "class_model", ClassModel) if self._with_classes else None
+        track = track_scan(track, scan, self._X_BS, self._config, span, model)
         state.get_mutable_abstract_state(0).set_value(_Matcher(track, history))
         return EventStatus.Succeeded()
 

@@ -9,14 +9,18 @@ import open3d as o3d
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 
-from ..clouds import VoxelCloud, estimate_normals, transform_points, voxel_filter
+from ..clouds import VoxelCloud, transform_points, voxel_filter
 from ..config import quantity
-from ..registration import Registration, RegistrationConfig, register
+from ..point_classes import ClassCounts, ClassModel, class_probabilities, fit_class_model
+from ..registration import Registration, RegistrationConfig, Target, placed, prepare_target, register
 from ..sensing import Scan, deskew
 from .keyframe import NO_KEYFRAME, Keyframe, KeyframePoses, PoseHealth
 from .motion import distance_and_angle, scale_motion
+from .odometry_accuracy import OdometryAccuracy, odometry_covariance
 
 REFERENCES = ("local_map", "previous_keyframe")
+# Attribute of clouds that registration uses besides positions, see `point_classes`.
+CLASSES = "class_probabilities"
 GUESSES = ("constant_velocity", "none")
 # Without odometry a gap in the scans is bridged with the last velocity for at most this many times the last step.
 _MAX_EXTRAPOLATION = 3.0
@@ -59,6 +63,8 @@ class ScanMatcherConfig:
     # [failures] The scan that fails as the n-th in a row is placed by dead reckoning, as a keyframe with health 0, and
     # a new local map starts there, so that the survey goes on behind a place that cannot be matched.
     max_failures: int = quantity(5, unit="failures", low=1)
+    # How far odometry is trusted along motions that a registration leaves open.
+    odometry: OdometryAccuracy = field(default_factory=OdometryAccuracy)
     # Turns of `retry_yaws_deg` are only tried without odometry.
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
 
@@ -74,7 +80,7 @@ class Track:
         last_index: `Scan.index` last seen.
         keyframe: the latest one.
         mapped: keyframes that the local map is taken from.
-        target: the local map in M, with normals.
+        target: the local map in M, prepared for registration.
         failures: attempts that failed in a row.
         poses_version: of the corrections that are applied, see `correct_track`.
     """
@@ -88,7 +94,7 @@ class Track:
     last_index: int = -1
     keyframe: Keyframe = NO_KEYFRAME
     mapped: tuple[Keyframe, ...] = ()
-    target: PointCloud | None = None
+    target: Target | None = None
     failures: int = 0
     poses_version: int = 0
     health: PoseHealth = PoseHealth(False, 0.0, "no scan yet", 0.0, 0, 0)
@@ -108,11 +114,13 @@ def track_scan(
     X_BS: RigidTransform,
     config: ScanMatcherConfig,
     X_OB_start_end: tuple[RigidTransform, RigidTransform] | None = None,
+    class_model: ClassModel | None = None,
 ) -> Track:
     """Takes in one scan: skips it, lets it pass, or registers it and perhaps makes it a keyframe.
 
     Args:
         X_OB_start_end: odometry at the start and end of the scan; None without odometry.
+        class_model: gives the points of a scan that is registered their `class_probabilities`; None does without.
     """
     if scan.index == track.last_index or scan.index < 0:
         return track
@@ -129,15 +137,15 @@ def track_scan(
     if (usable := int(_usable(scan.p_SP, config).sum())) < config.registration.min_points:
         return _skip(track, f"scan {scan.index} has {usable} usable points, needs {config.registration.min_points}")
     if track.target is None:
-        first = Registration(guess, 1.0, 0.0, usable, 1.0, True, "")
-        return _accept(track, scan, prepare_cloud(scan, X_BS, X_BB0, config), first, X_OB, config)
+        first = placed(guess, usable)
+        return _accept(track, scan, prepare_cloud(scan, X_BS, X_BB0, config, class_model), first, X_OB, config)
     sweep = scan.end_time > scan.start_time
     if X_OB is not None and not (
         _moved(track.tried_at, X_OB, config) or (sweep and _came_to_rest(track, X_OB, X_BB0, config))
     ):
         return replace(track, health=replace(track.health, scans_used=track.health.scans_used + 1))
-    cloud_B = prepare_cloud(scan, X_BS, X_BB0, config)
-    result = _register(track, cloud_B, guess, config, with_odometry=X_OB is not None)
+    cloud_B = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
+    result = _register(track, cloud_B, guess, X_OB, config)
     if result.valid:
         return _accept(track, scan, cloud_B, result, X_OB, config)
     track = _skip(track, f"scan {scan.index}: {result.reason}")
@@ -145,9 +153,9 @@ def track_scan(
     if track.failures < config.max_failures:
         return track
     # Lost: go on from where dead reckoning says, on a map of its own.
-    placed = _accept(replace(track, mapped=()), scan, cloud_B, result, X_OB, config)
+    lost = _accept(replace(track, mapped=()), scan, cloud_B, result, X_OB, config)
     reason = f"{track.health.reason}; new local map by dead reckoning after {track.failures} failures"
-    return replace(placed, health=replace(track.health, reason=reason))
+    return replace(lost, health=replace(track.health, reason=reason))
 
 
 def correct_track(track: Track, poses: KeyframePoses, config: ScanMatcherConfig) -> Track:
@@ -157,18 +165,25 @@ def correct_track(track: Track, poses: KeyframePoses, config: ScanMatcherConfig)
     mapped = poses.moved(track.mapped)
     (keyframe,) = poses.moved((track.keyframe,))
     X_MM = keyframe.X_MB @ track.keyframe.X_MB.inverse()
-    target = local_map(choose_keyframes(mapped, config), config) if mapped else track.target
+    target = _target(choose_keyframes(mapped, config), config) if mapped else track.target
     corrected = replace(track, mapped=mapped, keyframe=keyframe, target=target, X_MB=X_MM @ track.X_MB)
     # Without odometry the last attempt is noted in M.
     tried_at = X_MM @ track.tried_at if track.X_OB is None else track.tried_at
     return replace(corrected, tried_at=tried_at, poses_version=poses.version)
 
 
-def prepare_cloud(scan: Scan, X_BS: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> PointCloud:
-    """De-skews a scan to its end, takes it to the base frame and thins it.
+def prepare_cloud(
+    scan: Scan,
+    X_BS: RigidTransform,
+    X_BB0: RigidTransform,
+    config: ScanMatcherConfig,
+    class_model: ClassModel | None = None,
+) -> PointCloud:
+    """De-skews a scan to its end, takes it to the base frame, and gives its points their classes.
 
     Args:
         X_BB0: pose of the base at the start of the scan in the base at its end.
+        class_model: None gives no classes. A model that has not learnt yet is replaced by one of this scan.
     """
     usable = _usable(scan.p_SP, config)
     points = scan.p_SP[usable]
@@ -178,9 +193,12 @@ def prepare_cloud(scan: Scan, X_BS: RigidTransform, X_BB0: RigidTransform, confi
         X_S0S1 = X_BS.inverse() @ X_BB0.inverse() @ X_BS
         points = deskew(points, fraction, X_S0S1.GetAsMatrix4())
     cloud = scan.cloud_S.select_by_mask(o3d.core.Tensor(usable))
+    if class_model is not None:
+        model = class_model if class_model.scans else fit_class_model(ClassCounts().add(cloud))
+        cloud.point[CLASSES] = o3d.core.Tensor(class_probabilities(cloud, model))
     p_BP = transform_points(X_BS.GetAsMatrix4(), np.asarray(points, float))
     cloud.point.positions = o3d.core.Tensor(p_BP.astype(np.float32))
-    return voxel_filter(cloud, config.keyframe_voxel)
+    return cloud
 
 
 def choose_keyframes(mapped: tuple[Keyframe, ...], config: ScanMatcherConfig) -> tuple[Keyframe, ...]:
@@ -194,15 +212,18 @@ def choose_keyframes(mapped: tuple[Keyframe, ...], config: ScanMatcherConfig) ->
 
 
 def local_map(keyframes: tuple[Keyframe, ...], config: ScanMatcherConfig) -> PointCloud:
-    """The clouds of `keyframes` in one, in M, thinned and with normals."""
+    """The clouds of `keyframes` in one, in M, thinned, with their classes."""
     voxels = VoxelCloud(config.local_map_voxel)
     for keyframe in keyframes:
         bare = PointCloud(keyframe.cloud_B.point.positions)
+        if CLASSES in keyframe.cloud_B.point:
+            bare.point[CLASSES] = keyframe.cloud_B.point[CLASSES]
         voxels = voxels.insert(bare, keyframe.X_MB.GetAsMatrix4())
-    cloud = voxels.to_cloud()
-    normals = estimate_normals(cloud.point.positions.numpy(), config.registration.normal_radius)
-    cloud.point.normals = o3d.core.Tensor(normals.astype(np.float32))
-    return cloud
+    return voxels.to_cloud()
+
+
+def _target(keyframes: tuple[Keyframe, ...], config: ScanMatcherConfig) -> Target:
+    return prepare_target(local_map(keyframes, config), config.registration)
 
 
 def _usable(points: np.ndarray, config: ScanMatcherConfig) -> np.ndarray:
@@ -232,11 +253,16 @@ def _came_to_rest(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, con
 
 
 def _register(
-    track: Track, cloud_B: PointCloud, guess: RigidTransform, config: ScanMatcherConfig, *, with_odometry: bool
+    track: Track, cloud_B: PointCloud, guess: RigidTransform, X_OB: RigidTransform | None, config: ScanMatcherConfig
 ) -> Registration:
     assert track.target is not None
-    if with_odometry:
-        return register(cloud_B, track.target, guess, dataclasses.replace(config.registration, retry_yaws_deg=[]))
+    if X_OB is not None:
+        assert track.X_OB is not None
+        step = track.X_OB.inverse() @ X_OB
+        R = np.kron(np.eye(2), guess.rotation().matrix())
+        covariance = R @ odometry_covariance(step, config.odometry) @ R.T
+        without_turns = dataclasses.replace(config.registration, retry_yaws_deg=[])
+        return register(cloud_B, track.target, guess, without_turns, covariance)
     result = register(cloud_B, track.target, guess, config.registration)
     if config.guess == "none" or (result.valid and result.fitness >= config.registration.retry_fitness):
         return result
@@ -254,8 +280,9 @@ def _accept(
 ) -> Track:
     used = track.health.scans_used + 1
     health = PoseHealth(True, result.health, result.reason, scan.end_time, used, track.health.scans_skipped)
+    cloud_B = voxel_filter(cloud_B, config.keyframe_voxel)
     X_PB = track.keyframe.X_MB.inverse() @ result.X_TS if track.keyframe.index >= 0 else None
-    keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health, X_PB)
+    keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health, X_PB, result.covariance)
     elapsed = scan.end_time - track.time
     measured_before = track.target is not None and track.failures == 0 and elapsed > 0
     accepted = replace(
@@ -271,11 +298,11 @@ def _accept(
         health=health,
     )
     if config.reference == "previous_keyframe":
-        return replace(accepted, mapped=(keyframe,), target=local_map((keyframe,), config))
+        return replace(accepted, mapped=(keyframe,), target=_target((keyframe,), config))
     if track.mapped and not _moved(track.mapped[-1].X_MB, keyframe.X_MB, config):
         return accepted
     mapped = (*track.mapped, keyframe)
-    return replace(accepted, mapped=mapped, target=local_map(choose_keyframes(mapped, config), config))
+    return replace(accepted, mapped=mapped, target=_target(choose_keyframes(mapped, config), config))
 
 
 def _skip(track: Track, reason: str) -> Track:

@@ -62,8 +62,8 @@ def test_scans_are_learnt_once_each_and_up_to_the_limit():
         return system.GetOutputPort("class_model").Eval(context)
 
     scans = [_scan(-1), _scan(0), _scan(0), _scan(1, seed=1), _scan(2, seed=2, nir=False)]
-    once = learn(PointClassesConfig(), scans)
+    once = learn(PointClassesConfig(period=0.1), scans)
     assert once.scans == 3
-    assert learn(PointClassesConfig(learn_scans=2), scans).scans == 2
-    again = learn(PointClassesConfig(), scans)
+    assert learn(PointClassesConfig(period=0.1, learn_scans=2), scans).scans == 2
+    again = learn(PointClassesConfig(period=0.1), scans)
     assert again.shares.tobytes() == once.shares.tobytes()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from naraha.systems.registration import RegistrationConfig
+from naraha.systems.registration import IcpConfig, RegistrationConfig
 from naraha.systems.sensing import ScanReplay, list_scans, read_poses
 from naraha.systems.slam import ScanMatcher, ScanMatcherConfig, SurveyMap, map_error, rebuild_map, trajectory_error
 from pydrake.systems.analysis import Simulator
@@ -15,9 +15,7 @@ NAIVE = ScanMatcherConfig(
     local_map_voxel=0.1,
     registration=RegistrationConfig(
         method="generalized",
-        max_distances=[1.0],
-        max_iterations=50,
-        source_voxel=0.0,
+        icp=IcpConfig(max_distances=[1.0], max_iterations=50, source_voxel=0.0),
         retry_yaws_deg=[],
         min_fitness=0.0,
         min_constraint=0.0,

@@ -8,7 +8,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 from naraha.systems.errors import ConfigError, PortError
-from naraha.systems.registration import RegistrationConfig
+from naraha.systems.registration import IcpConfig, RegistrationConfig
 from naraha.systems.sensing import Scan
 from naraha.systems.slam import Keyframe, Odometry6Dof, ScanMatcher, ScanMatcherConfig, SurveyMap, SurveyMapConfig
 from naraha.systems.slam.motion import distance_and_angle, scale_motion
@@ -229,9 +229,9 @@ def test_wrong_inputs_and_values_are_named():
     )
     with pytest.raises(PortError, match=r"SurveyMap.keyframe: wrong type, got 'tuple' .valid: Keyframe"):
         simulator.AdvanceTo(0.1)
-    with pytest.raises(ConfigError, match=r"registration.method: unknown value, got 'magic' .valid: point_to_point"):
+    with pytest.raises(ConfigError, match=r"registration.method: unknown value, got 'magic' .valid: surfaces"):
         ScanMatcher(ScanMatcherConfig(registration=RegistrationConfig(method="magic")))
-    with pytest.raises(ConfigError, match=r"registration.max_distances: must not be empty"):
-        ScanMatcher(ScanMatcherConfig(registration=RegistrationConfig(max_distances=[])))
+    with pytest.raises(ConfigError, match=r"registration.icp.max_distances: must not be empty"):
+        ScanMatcher(ScanMatcherConfig(registration=RegistrationConfig(icp=IcpConfig(max_distances=[]))))
     with pytest.raises(ConfigError, match="voxel_size: out of range"):
         SurveyMap(SurveyMapConfig(voxel_size=0.0))
