@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import open3d as o3d
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
@@ -76,7 +75,8 @@ class PointClasses(LeafSystem):
         start = _Learnt(ClassCounts(), fit_class_model(ClassCounts()))
         state = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._Learn)
-        nothing = Scan(o3d.t.geometry.PointCloud(o3d.core.Tensor(np.zeros((0, 3), np.float32))), 0.0, 0.0, -1)
+        # No tensor at all: one that lived until the interpreter ends would make Open3D warn of a leak.
+        nothing = Scan(o3d.t.geometry.PointCloud(), 0.0, 0.0, -1)
         needs = {state, self.input_port_ticket(self.GetInputPort("scan_S").get_index())}
         self.DeclareAbstractOutputPort(
             "classified_scan_S", lambda: AbstractValue.Make(nothing), weak_method(self._CalcScan), needs

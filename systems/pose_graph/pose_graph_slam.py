@@ -69,8 +69,8 @@ class PoseGraphSlam(LeafSystem):
     - `batch_poses` (`KeyframePoses`): the optimum over all with every loop judged anew (`finish`). It is computed when
       it is asked for; ask at the end.
 
-    The graph is optimised as a batch that starts at the last poses: milliseconds for hundreds of keyframes, where
-    iSAM2 saves nothing, and its state could not be copied with a context.
+    The graph is optimised as a batch that starts at the last poses: milliseconds for hundreds of keyframes;
+    the state of iSAM2 could not be copied with a context.
 
     Raises:
         ConfigError: a value of the configuration is out of range.

@@ -15,7 +15,8 @@ from naraha.systems.sensing import read_poses, read_scan, write_cloud
 SHORT_TOUR = "tour.waypoints=[{xy: [-7.2, -5.0]}]"
 LOOK_TOUR = "tour.waypoints=[{xy: [-6.2, -3.9], look_deg: [45]}]"
 PRODUCTS = ["metrics.json", "scenario.yaml", "recording.html", "survey_map.ply", "trajectory.txt"]
-SURVEY_PRODUCTS = [*PRODUCTS, "survey_seen.npz", "odometry.txt", "truth.txt"]
+MAP_PRODUCTS = [*PRODUCTS, "survey_map.bt", "survey_map.ot"]
+SURVEY_PRODUCTS = [*MAP_PRODUCTS, "survey_seen.npz", "odometry.txt", "truth.txt"]
 VARYING = {"wall_time_s", "realtime_factor", "peak_rss_mb"}
 
 
@@ -154,7 +155,7 @@ def test_a_stuck_robot_fails_the_mission_but_keeps_what_was_measured(tmp_path):
     metrics = metrics_of(tmp_path)
     assert metrics["status"] == "failed"
     assert "stuck on the way to waypoint 1 of 1" in metrics["reason"]
-    assert all((tmp_path / product).exists() for product in PRODUCTS)
+    assert all((tmp_path / product).exists() for product in MAP_PRODUCTS)
 
 
 def test_ctrl_c_stops_cleanly_and_keeps_what_was_measured(tmp_path):
@@ -167,7 +168,7 @@ def test_ctrl_c_stops_cleanly_and_keeps_what_was_measured(tmp_path):
     metrics = metrics_of(tmp_path)
     assert metrics["status"] == "interrupted"
     assert metrics["sim_time_s"] > 0
-    assert all((tmp_path / product).exists() for product in PRODUCTS)
+    assert all((tmp_path / product).exists() for product in MAP_PRODUCTS)
 
 
 BAD_SURVEYS = {
@@ -243,7 +244,7 @@ def test_recorded_scans_are_mapped_and_compared(scans, tmp_path):
     assert metrics["trajectory_error_mean_m"] < 0.02
     assert metrics["map_error_m"] < 0.05
     assert metrics["path_length_m"] == pytest.approx(0.4, abs=0.05)
-    assert all((tmp_path / "out" / product).exists() for product in PRODUCTS)
+    assert all((tmp_path / "out" / product).exists() for product in MAP_PRODUCTS)
 
 
 def test_a_broken_scan_in_the_middle_is_skipped_counted_and_reported(scans, tmp_path):
