@@ -8,6 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from ..config import quantity
 from ..slam.keyframe import Keyframe, KeyframePoses
 from ..slam.motion import distance_and_angle
+from ..slam.odometry_accuracy import OdometryAccuracy, odometry_covariance
 from .consistency import position_deviations
 from .graph import ATTITUDE, LOOP, ODOMETRY, REGISTRATION, PoseGraph, chi_squared
 from .loop_detection import (
@@ -38,13 +39,7 @@ class PoseGraphConfig:
     blind_deviation_deg: float = quantity(5.0, unit="deg", above=0)
     # Whether odometry is an edge of its own beside the registration.
     use_odometry: bool = True
-    # [-] Standard deviation of the odometry's shift as part of the way, and of its yaw as part of the turn: tracks
-    # slip.
-    slip: float = quantity(0.2, unit="m/m", above=0)
-    yaw_slip: float = quantity(0.1, unit="rad/rad", above=0)
-    # [deg/m], [deg] What yaw drifts on straight ways, and how well the IMU knows roll and pitch between keyframes.
-    yaw_drift_deg: float = quantity(2.0, unit="deg/m", above=0)
-    tilt_deviation_deg: float = quantity(0.5, unit="deg", above=0)
+    odometry: OdometryAccuracy = field(default_factory=OdometryAccuracy)
     # [deg] Standard deviation of roll and pitch of X_OB against gravity, as edges of their own; 0: there are none.
     attitude_deviation_deg: float = quantity(0.0, unit="deg", low=0)
     # [keyframes] Without a new loop the graph is optimised after so many.
@@ -156,7 +151,7 @@ def _with_edges(
     if keyframe.X_OB is not None and before.X_OB is not None:
         odometry = before.X_OB.inverse() @ keyframe.X_OB
         if config.use_odometry:
-            edges.append((k - 1, k, odometry, odometry_covariance(odometry, config), ODOMETRY))
+            edges.append((k - 1, k, odometry, odometry_covariance(odometry, config.odometry), ODOMETRY))
         if config.attitude_deviation_deg > 0:
             X_MO = known.keyframes[0].X_MB @ (known.keyframes[0].X_OB or RigidTransform()).inverse()
             tilt = np.eye(6) * np.deg2rad(config.attitude_deviation_deg) ** 2
@@ -201,16 +196,6 @@ def registration_covariance(keyframe: Keyframe, config: PoseGraphConfig) -> np.n
         return floor
     R = np.kron(np.eye(2), keyframe.X_MB.rotation().matrix().T)
     return R @ keyframe.covariance @ R.T + floor
-
-
-def odometry_covariance(step: RigidTransform, config: PoseGraphConfig) -> np.ndarray:
-    """Covariance of a step of odometry in the axes of its end, (6, 6)."""
-    distance, angle = distance_and_angle(step)
-    yaw = np.hypot(config.yaw_slip * angle, np.deg2rad(config.yaw_drift_deg) * distance)
-    tilt = np.deg2rad(config.tilt_deviation_deg)
-    shift = np.hypot(config.slip * distance, config.registration_deviation)
-    yaw = np.hypot(yaw, np.deg2rad(config.registration_deviation_deg))
-    return np.diag(np.square([tilt, tilt, yaw, shift, shift, shift]))
 
 
 def _diagonal(degrees: float, metres: float) -> np.ndarray:

@@ -5,7 +5,7 @@ from .config import METHODS, IcpConfig, RegistrationConfig, SurfacesConfig
 from .constraint import AXES, constraint, undo_unheld_motion
 from .incidence import incidence_cosines
 from .registration import Target, prepare_target, register
-from .result import Axis, Registration, placed
+from .result import Axis, Registration, covariance_at, placed
 from .surfels import is_organised
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Target",
     "constraint",
     "correlate_classes",
+    "covariance_at",
     "incidence_cosines",
     "is_organised",
     "placed",

@@ -1,6 +1,6 @@
 """What registration returns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -57,6 +57,21 @@ class Registration:
 
     def __deepcopy__(self, memo: dict) -> "Registration":
         return self
+
+    def at(self, X_SB: RigidTransform) -> "Registration":
+        """The same for a frame B that is fixed to the source: its pose X_TB, with the covariance at B's origin."""
+        lever = self.X_TS.rotation().multiply(X_SB.translation())
+        covariance = covariance_at(self.covariance, lever) if self.valid else self.covariance
+        return replace(self, X_TS=self.X_TS @ X_SB, covariance=covariance)
+
+
+def covariance_at(covariance: np.ndarray, lever: np.ndarray) -> np.ndarray:
+    """Covariance (6, 6) of a small turn and shift at a point, for the point that is `lever` (3,) [m] away from it."""
+    x, y, z = lever
+    to_point = np.eye(6)
+    to_point[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # ω × lever
+    moved: np.ndarray = to_point @ covariance @ to_point.T
+    return moved
 
 
 def placed(X_TS: RigidTransform, points: int) -> Registration:

@@ -9,10 +9,18 @@ import open3d as o3d
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
 
-from ..clouds import VoxelCloud, transform_points, voxel_filter
+from ..clouds import VoxelCloud
 from ..config import quantity
 from ..point_classes import ClassCounts, ClassModel, class_probabilities, fit_class_model
-from ..registration import Registration, RegistrationConfig, Target, placed, prepare_target, register
+from ..registration import (
+    Registration,
+    RegistrationConfig,
+    Target,
+    covariance_at,
+    placed,
+    prepare_target,
+    register,
+)
 from ..sensing import Scan, deskew
 from .keyframe import NO_KEYFRAME, Keyframe, KeyframePoses, PoseHealth
 from .motion import distance_and_angle, scale_motion
@@ -138,22 +146,23 @@ def track_scan(
         return _skip(track, f"scan {scan.index} has {usable} usable points, needs {config.registration.min_points}")
     if track.target is None:
         first = placed(guess, usable)
-        return _accept(track, scan, prepare_cloud(scan, X_BS, X_BB0, config, class_model), first, X_OB, config)
+        cloud_S = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
+        return _accept(track, scan, cloud_S, X_BS, first, X_OB, config)
     sweep = scan.end_time > scan.start_time
     if X_OB is not None and not (
         _moved(track.tried_at, X_OB, config) or (sweep and _came_to_rest(track, X_OB, X_BB0, config))
     ):
         return replace(track, health=replace(track.health, scans_used=track.health.scans_used + 1))
-    cloud_B = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
-    result = _register(track, cloud_B, guess, X_OB, config)
+    cloud_S = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
+    result = _register(track, cloud_S, X_BS, guess, X_OB, config)
     if result.valid:
-        return _accept(track, scan, cloud_B, result, X_OB, config)
+        return _accept(track, scan, cloud_S, X_BS, result, X_OB, config)
     track = _skip(track, f"scan {scan.index}: {result.reason}")
     track = replace(track, failures=track.failures + 1, tried_at=guess if X_OB is None else X_OB)
     if track.failures < config.max_failures:
         return track
     # Lost: go on from where dead reckoning says, on a map of its own.
-    lost = _accept(replace(track, mapped=()), scan, cloud_B, result, X_OB, config)
+    lost = _accept(replace(track, mapped=()), scan, cloud_S, X_BS, result, X_OB, config)
     reason = f"{track.health.reason}; new local map by dead reckoning after {track.failures} failures"
     return replace(lost, health=replace(track.health, reason=reason))
 
@@ -179,7 +188,7 @@ def prepare_cloud(
     config: ScanMatcherConfig,
     class_model: ClassModel | None = None,
 ) -> PointCloud:
-    """De-skews a scan to its end, takes it to the base frame, and gives its points their classes.
+    """De-skews a scan to its end, in the sensor frame, and gives its points their classes.
 
     Args:
         X_BB0: pose of the base at the start of the scan in the base at its end.
@@ -196,8 +205,7 @@ def prepare_cloud(
     if class_model is not None:
         model = class_model if class_model.scans else fit_class_model(ClassCounts().add(cloud))
         cloud.point[CLASSES] = o3d.core.Tensor(class_probabilities(cloud, model))
-    p_BP = transform_points(X_BS.GetAsMatrix4(), np.asarray(points, float))
-    cloud.point.positions = o3d.core.Tensor(p_BP.astype(np.float32))
+    cloud.point.positions = o3d.core.Tensor(np.ascontiguousarray(points, np.float32))
     return cloud
 
 
@@ -253,34 +261,42 @@ def _came_to_rest(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, con
 
 
 def _register(
-    track: Track, cloud_B: PointCloud, guess: RigidTransform, X_OB: RigidTransform | None, config: ScanMatcherConfig
+    track: Track,
+    cloud_S: PointCloud,
+    X_BS: RigidTransform,
+    guess: RigidTransform,
+    X_OB: RigidTransform | None,
+    config: ScanMatcherConfig,
 ) -> Registration:
+    """The pose X_MB. The cloud stays in the sensor's frame: a range image is seen from its origin."""
     assert track.target is not None
+    target, X_SB = track.target, X_BS.inverse()
     if X_OB is not None:
         assert track.X_OB is not None
-        step = track.X_OB.inverse() @ X_OB
         R = np.kron(np.eye(2), guess.rotation().matrix())
-        covariance = R @ odometry_covariance(step, config.odometry) @ R.T
+        at_base = R @ odometry_covariance(track.X_OB.inverse() @ X_OB, config.odometry) @ R.T
+        covariance = covariance_at(at_base, guess.rotation().multiply(X_BS.translation()))
         without_turns = dataclasses.replace(config.registration, retry_yaws_deg=[])
-        return register(cloud_B, track.target, guess, without_turns, covariance)
-    result = register(cloud_B, track.target, guess, config.registration)
-    if config.guess == "none" or (result.valid and result.fitness >= config.registration.retry_fitness):
-        return result
-    again = register(cloud_B, track.target, track.X_MB, config.registration)
-    return again if (again.valid, again.fitness) > (result.valid, result.fitness) else result
+        return register(cloud_S, target, guess @ X_BS, without_turns, covariance).at(X_SB)
+    result = register(cloud_S, target, guess @ X_BS, config.registration)
+    if config.guess != "none" and not (result.valid and result.fitness >= config.registration.retry_fitness):
+        again = register(cloud_S, target, track.X_MB @ X_BS, config.registration)
+        result = max(result, again, key=lambda one: (one.valid, one.fitness))
+    return result.at(X_SB)
 
 
 def _accept(
     track: Track,
     scan: Scan,
-    cloud_B: PointCloud,
+    cloud_S: PointCloud,
+    X_BS: RigidTransform,
     result: Registration,
     X_OB: RigidTransform | None,
     config: ScanMatcherConfig,
 ) -> Track:
     used = track.health.scans_used + 1
     health = PoseHealth(True, result.health, result.reason, scan.end_time, used, track.health.scans_skipped)
-    cloud_B = voxel_filter(cloud_B, config.keyframe_voxel)
+    cloud_B = VoxelCloud(config.keyframe_voxel).insert(cloud_S, X_BS.GetAsMatrix4()).to_cloud()
     X_PB = track.keyframe.X_MB.inverse() @ result.X_TS if track.keyframe.index >= 0 else None
     keyframe = Keyframe(scan.index, scan.end_time, result.X_TS, X_OB, cloud_B, result.health, X_PB, result.covariance)
     elapsed = scan.end_time - track.time

@@ -18,8 +18,8 @@ from naraha.systems.pose_graph import (
     add_keyframe,
     finish,
 )
-from naraha.systems.pose_graph.keyframe_graph import odometry_covariance, registration_covariance
-from naraha.systems.slam import Keyframe, KeyframePoses
+from naraha.systems.pose_graph.keyframe_graph import registration_covariance
+from naraha.systems.slam import Keyframe, KeyframePoses, OdometryAccuracy, odometry_covariance
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
@@ -107,7 +107,7 @@ def test_a_second_room_that_looks_the_same_is_not_the_first_one():
 
 
 def test_edges_are_as_sure_as_their_sources():
-    config = PoseGraphConfig(registration_deviation=0.03, registration_deviation_deg=1.0, slip=0.2)
+    config = PoseGraphConfig(registration_deviation=0.03, registration_deviation_deg=1.0)
     covariance = np.diag([0, 0, 0, 0.04, 0.0, 0.0])  # along M's x axis
     turned = pose(yaw=np.pi / 2)
     keyframe = Keyframe(1, 0.0, turned, None, make_cloud([[0, 0, 0]]), 1.0, None, covariance)
@@ -119,7 +119,9 @@ def test_edges_are_as_sure_as_their_sources():
     assert registration_covariance(lost, config)[3, 3] == pytest.approx(config.blind_deviation**2)
     no_covariance = replace(keyframe, covariance=None)
     np.testing.assert_allclose(np.diag(registration_covariance(no_covariance, config)), floor)
-    assert odometry_covariance(pose(2.0, z=0.0), config)[3, 3] == pytest.approx(0.4**2 + 0.03**2)
+    assert odometry_covariance(pose(2.0, z=0.0), OdometryAccuracy(slip=0.2, least_deviation=0.03))[
+        3, 3
+    ] == pytest.approx(0.4**2 + 0.03**2)
 
 
 def test_odometry_bridges_what_registration_does_not_know():
@@ -127,7 +129,7 @@ def test_odometry_bridges_what_registration_does_not_know():
     cloud = make_cloud(np.zeros((0, 3)))
     first = Keyframe(0, 0.0, RigidTransform(), pose(0, z=0), cloud, 1.0)
     second = Keyframe(1, 0.1, pose(1.5, z=0), pose(1.0, z=0), cloud, 0.0, pose(1.5, z=0))
-    config = PoseGraphConfig(slip=0.1, optimize_every=1)
+    config = PoseGraphConfig(odometry=OdometryAccuracy(slip=0.1), optimize_every=1)
     known = run([first, second], config)
     x = known.published.of(second).translation()[0]
     weights = np.array([0.5, np.hypot(0.1, config.registration_deviation)]) ** -2.0
@@ -248,6 +250,6 @@ def test_wrong_inputs_and_values_are_named():
     with pytest.raises(PortError, match=r"PoseGraphSlam.keyframe: wrong type, got 'tuple' .valid: Keyframe"):
         simulator.AdvanceTo(0.1)
     with pytest.raises(ConfigError, match="slip: out of range"):
-        PoseGraphSlam(PoseGraphConfig(slip=0.0))
+        PoseGraphSlam(PoseGraphConfig(odometry=OdometryAccuracy(slip=0.0)))
     with pytest.raises(ConfigError, match=r"robust.confidence: out of range"):
         PoseGraphSlam(PoseGraphConfig(robust=RobustLoopsConfig(confidence=0.1)))

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from naraha.systems.clouds import estimate_normals, voxel_filter
 from naraha.systems.config import check_config
 from naraha.systems.errors import ConfigError
-from naraha.systems.registration import METHODS, IcpConfig, RegistrationConfig, SurfacesConfig, prepare_target, register
+from naraha.systems.registration import (
+    METHODS,
+    IcpConfig,
+    RegistrationConfig,
+    SurfacesConfig,
+    covariance_at,
+    prepare_target,
+    register,
+)
 from naraha.systems.slam.motion import distance_and_angle
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -214,7 +222,7 @@ def test_the_same_clouds_give_the_same_bits(room):
     scan = make_cloud(room_scan(np.random.default_rng(1), X_WS))
     for method in METHODS:
         config = RegistrationConfig(method=method)
-        results = [register(scan, room, X_WS @ pose(0.2, 0.1, 0.0), config) for _ in range(4)]
+        results = [register(scan, room, X_WS @ pose(0.2, 0.1, 0.0), config) for _ in range(8)]
         assert len({result.X_TS.GetAsMatrix4().tobytes() for result in results}) == 1
         assert len({(result.fitness, result.inlier_rmse, result.health) for result in results}) == 1
 
@@ -267,3 +275,25 @@ def test_registration_prints_nothing(room, capfd):
     assert o3d.utility.get_verbosity_level() != o3d.utility.VerbosityLevel.Error
     printed = capfd.readouterr()
     assert printed.out == printed.err == ""
+
+
+def test_the_covariance_of_another_point_of_a_body_is_that_of_how_it_moves():
+    rng = np.random.default_rng(0)
+    A = rng.normal(0, 0.002, (6, 6))
+    covariance, lever = A @ A.T, np.array([0.4, -1.2, 3.0])
+    moves = rng.multivariate_normal(np.zeros(6), covariance, 200_000)
+    there = np.hstack([moves[:, :3], moves[:, 3:] + np.cross(moves[:, :3], lever)])
+    np.testing.assert_allclose(covariance_at(covariance, lever), np.cov(there.T), atol=0.02 * np.cov(there.T).max())
+    np.testing.assert_allclose(covariance_at(covariance_at(covariance, lever), -lever), covariance, atol=1e-15)
+
+
+def test_a_result_can_be_told_for_another_frame_of_the_same_body(room):
+    X_WS, X_SB = pose(0.5, 0.4, 1.0, yaw=0.2), pose(0.2, 0.1, -0.5, pitch=0.1)
+    result = register(make_cloud(room_scan(np.random.default_rng(8), X_WS)), room, X_WS)
+    of_base = result.at(X_SB)
+    assert error(of_base.X_TS, X_WS @ X_SB)[0] < 0.006
+    assert of_base.X_TS.IsNearlyEqualTo(result.X_TS @ X_SB, 1e-12)
+    assert np.linalg.eigvalsh(of_base.covariance).min() > 0
+    failed = register(make_cloud(np.zeros((0, 3))), room, X_WS).at(X_SB)
+    assert not failed.valid
+    assert failed.X_TS.IsNearlyEqualTo(X_WS @ X_SB, 1e-12)

@@ -303,11 +303,14 @@ def test_moving_geometry_is_hit_as_if_it_were_anchored_at_its_pose(make_world, X
     directions = random_directions(rng, 3000).astype(np.float32)
     a = moving.rays().cast(starts, directions, {frame: X_WF})
     b = anchored.rays().cast(starts, directions)
-    same = np.isclose(a.distance, b.distance, rtol=1e-4, atol=1e-5) & (a.geometry == b.geometry)
-    # Where two facets of the sphere meet, the distance is the same and the normal is not.
-    same &= np.isclose(a.incidence_cos, b.incidence_cos, atol=1e-3)
+    same = np.isclose(a.distance, b.distance, rtol=1e-4, atol=1e-5)
     # Single rays that graze an edge may differ by rounding.
     assert np.count_nonzero(~same) <= 3
+    np.testing.assert_array_equal(a.geometry[same], b.geometry[same])
+    # Where two facets of the sphere meet, either normal may be told at the same distance.
+    other_facet = same & ~np.isclose(a.incidence_cos, b.incidence_cos, rtol=0, atol=1e-3)
+    assert np.count_nonzero(other_facet) + np.count_nonzero(~same) <= 3
+    assert all(scene.names[i].endswith("part_1") for scene in [moving.rays()] for i in a.geometry[other_facet])
 
 
 @pytest.mark.parametrize("distance", [0.6, 2.0, 40.0])
