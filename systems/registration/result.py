@@ -60,7 +60,7 @@ class Registration:
 
     def at(self, X_SB: RigidTransform) -> "Registration":
         """The same for a frame B that is fixed to the source: its pose X_TB, with the covariance at B's origin."""
-        lever = self.X_TS.rotation().multiply(X_SB.translation())
+        lever = self.X_TS.rotation().matrix() @ X_SB.translation()
         covariance = covariance_at(self.covariance, lever) if self.valid else self.covariance
         return replace(self, X_TS=self.X_TS @ X_SB, covariance=covariance)
 

@@ -54,7 +54,7 @@ class ScanMatcherConfig:
     # [m] Only those that were taken within this distance.
     revisit_distance: float = quantity(4.0, unit="m", low=0)
     # [m] Grid of the local map.
-    local_map_voxel: float = quantity(0.25, unit="m", above=0)
+    local_map_voxel: float = quantity(0.15, unit="m", above=0)
     # [m], [deg] Motion since the last scan of the local map from which on another is added to it. With odometry, scans
     # below it are not registered, because registration is what costs; without odometry, all are, and all are keyframes.
     keyframe_distance: float = quantity(0.5, unit="m", low=0)
@@ -275,7 +275,7 @@ def _register(
         assert track.X_OB is not None
         R = np.kron(np.eye(2), guess.rotation().matrix())
         at_base = R @ odometry_covariance(track.X_OB.inverse() @ X_OB, config.odometry) @ R.T
-        covariance = covariance_at(at_base, guess.rotation().multiply(X_BS.translation()))
+        covariance = covariance_at(at_base, guess.rotation().matrix() @ X_BS.translation())
         without_turns = dataclasses.replace(config.registration, retry_yaws_deg=[])
         return register(cloud_S, target, guess @ X_BS, without_turns, covariance).at(X_SB)
     result = register(cloud_S, target, guess @ X_BS, config.registration)
