@@ -9,6 +9,9 @@ from numba import njit
 AZIMUTHS, ELEVATIONS = 180, 90
 # [m], [-] Surfaces nearer than what was seen by this, and this part of the distance, were seen through.
 _MARGIN, _MARGIN_PART = 0.2, 0.03
+# [rad] Width of a direction, and smallest cosine of the incidence: a surface that is met at a slant reaches through one
+# direction over a stretch, the floor of a corridor over metres.
+_WIDTH, _SLANT = math.pi / ELEVATIONS, 0.05
 
 
 @njit(cache=True)
@@ -45,7 +48,15 @@ def count_seen(surfels: np.ndarray, X: np.ndarray, ranges: np.ndarray) -> tuple[
         i, j = _direction(x, y, z)
         if ranges[i, j] > 0:
             distance = math.sqrt(x * x + y * y + z * z)
-            margin = _MARGIN + _MARGIN_PART * distance
+            u, v, w = surfels[s, 3], surfels[s, 4], surfels[s, 5]
+            u, v, w = (
+                X[0, 0] * u + X[0, 1] * v + X[0, 2] * w,
+                X[1, 0] * u + X[1, 1] * v + X[1, 2] * w,
+                X[2, 0] * u + X[2, 1] * v + X[2, 2] * w,
+            )
+            cosine = max(abs(u * x + v * y + w * z) / distance, _SLANT)
+            stretch = _WIDTH * distance * math.sqrt(max(1 - cosine * cosine, 0.0)) / cosine
+            margin = _MARGIN + _MARGIN_PART * distance + stretch
             if distance < ranges[i, j] - margin:
                 through += 1
             elif distance < ranges[i, j] + margin:
