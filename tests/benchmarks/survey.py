@@ -1,6 +1,8 @@
 """The shipped survey over many seeds, and the hall surveyed again after its crates have changed.
 
-    python -m tests.benchmarks.survey --seeds 20 --out out/surveys [--later] [--jobs 2] [--json FILE]
+    python -m tests.benchmarks.survey --seeds 20 --out out/surveys [--later] [--baseline] [--jobs 2] [--json FILE]
+
+`--baseline` runs the source's ICP (S0-g) beside ours, whose errors are then told too.
 
 Every run is a `naraha survey` in a process of its own; those that are there already are not run again.
 """
@@ -17,7 +19,7 @@ import numpy as np
 
 from .report import print_table, write_json
 
-QUICK = ["--set", "recording=null", "--set", "baseline=null"]
+QUICK = ["--set", "recording=null"]
 # What is reported of each kind of run.
 KEYS = {
     "before": [
@@ -36,6 +38,10 @@ KEYS = {
         "dose_map_error",
         "trajectory_error_mean_m",
         "map_error_m",
+        "odometry_trajectory_error_mean_m",
+        "odometry_map_error_m",
+        "baseline_trajectory_error_mean_m",
+        "baseline_map_error_m",
     ],
     "later": [
         "changes_visible",
@@ -59,12 +65,13 @@ def survey(out: Path, arguments: list[str]) -> dict[str, float]:
     return metrics
 
 
-def survey_seed(seed: int, folder: Path, later: bool) -> dict[str, dict[str, float]]:
+def survey_seed(seed: int, folder: Path, later: bool, baseline: bool) -> dict[str, dict[str, float]]:
     """The survey of one seed, and the later one."""
     before = folder / f"seed_{seed:02}"
-    runs = {"before": survey(before, ["--seed", str(seed)])}
+    quick = [] if baseline else ["--set", "baseline=null"]
+    runs = {"before": survey(before, ["--seed", str(seed), *quick])}
     if later:
-        arguments = ["--seed", str(seed), "--set", "world.name=stair_hall_later", "--earlier", str(before)]
+        arguments = ["--seed", str(seed), *quick, "--set", "world.name=stair_hall_later", "--earlier", str(before)]
         runs["later"] = survey(folder / f"seed_{seed:02}_later", arguments)
     return runs
 
@@ -74,13 +81,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--later", action="store_true", help="survey the changed hall, too")
+    parser.add_argument("--baseline", action="store_true", help="run the source's ICP beside ours")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=Path("out/surveys"))
     parser.add_argument("--json", metavar="FILE", help="where to write the numbers")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ThreadPoolExecutor(arguments.jobs) as pool:
-        runs = list(pool.map(lambda seed: survey_seed(seed, arguments.out, arguments.later), seeds))
+        runs = list(pool.map(lambda seed: survey_seed(seed, arguments.out, arguments.later, arguments.baseline), seeds))
     results: dict[str, object] = {}
     for kind, keys in KEYS.items():
         done = [run[kind] for run in runs if kind in run and run[kind].get("status") == "done"]
