@@ -46,7 +46,8 @@ def test_distortion_is_browns_formula():
     np.testing.assert_allclose(uv[0], [50 * x + 31, 52 * y + 24], rtol=1e-13)
 
 
-@given(distortion=distortions, fov=st.floats(5, 80), places=shares, depth=st.floats(0.1, 100))
+# Up to 64° none of these distortions folds the image.
+@given(distortion=distortions, fov=st.floats(5, 64), places=shares, depth=st.floats(0.1, 100))
 def test_points_on_the_rays_of_pixels_project_back_onto_them(distortion, fov, places, depth):
     model = camera(distortion, fov)
     uv = np.array(places) * [63, 47]
