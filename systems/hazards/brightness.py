@@ -1,11 +1,9 @@
-"""Dark against bright: where the brightness of surfaces falls into two populations, and the classes that follow."""
+"""Dark against bright: where the brightness of surfaces falls into two populations."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-
-from ..errors import InputError
 
 _BINS = 64
 # Bins over which the histogram is smoothed, times the fifth root of the number of values, as for a density estimate.
@@ -80,28 +78,3 @@ def dark_threshold(values: np.ndarray, *, share: float = 0.4) -> Threshold:
     while last < _BINS - 1 and flat[last + 1]:
         last += 1
     return Threshold(float(np.exp(0.5 * (edges[first] + edges[last + 1]))), True)
-
-
-def attribute_classes(
-    intensity: np.ndarray, nir: np.ndarray, thresholds: tuple[float, float] | None = None
-) -> tuple[np.ndarray, tuple[float, float]]:
-    """The four classes of S2-a: LiDAR intensity (high or low) × near-infrared brightness (high or low).
-
-    Args:
-        intensity, nir: (N,), on any scale.
-        thresholds: of intensity and of nir; chosen by `dark_threshold` when not given.
-
-    Returns:
-        Class of every point, (N,) uint8: 1 both high, 2 only LiDAR high, 3 only NIR high, 4 both low, 0 where one of
-        them is not known; and the thresholds.
-
-    Raises:
-        InputError: the arrays differ in length.
-    """
-    intensity, nir = np.asarray(intensity, float).ravel(), np.asarray(nir, float).ravel()
-    if len(intensity) != len(nir):
-        raise InputError("lengths differ", key="nir", value=len(nir), valid=f"{len(intensity)} as for intensity")
-    if thresholds is None:
-        thresholds = dark_threshold(intensity).value, dark_threshold(nir).value
-    classes = 1 + 2 * (intensity < thresholds[0]) + (nir < thresholds[1])
-    return np.where(np.isfinite(intensity) & np.isfinite(nir), classes, 0).astype(np.uint8), thresholds

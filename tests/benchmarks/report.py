@@ -46,7 +46,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
         table.add_column(column, justify="left" if i == 0 else "right")
     for row in rows:
         table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row))
-    Console().print(table)
+    console = Console()
+    # In a file or a pipe there is no edge that a table must keep within.
+    (console if console.is_terminal else Console(width=180)).print(table)
 
 
 def write_json(path: str | os.PathLike[str] | None, values: Mapping[str, object]) -> None:

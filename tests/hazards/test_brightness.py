@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naraha.systems.errors import InputError
-from naraha.systems.hazards.brightness import attribute_classes, dark_threshold
+from naraha.systems.hazards.brightness import dark_threshold
 from naraha.systems.hazards.lidar_water import floor_height
 from naraha.systems.hazards.water import WaterConfig, water_probability
 
@@ -59,14 +58,6 @@ def test_too_little_to_choose_from_gives_no_valley(values):
     assert threshold.value == pytest.approx(0.12) if known else not threshold.value > 0
 
 
-def test_the_four_classes_are_those_of_high_and_low():
-    classes, thresholds = attribute_classes([9, 9, 1, 1, np.nan, 9], [9, 1, 9, 1, 9, np.nan], (5, 5))
-    assert classes.tolist() == [1, 2, 3, 4, 0, 0]
-    assert thresholds == (5, 5)
-    with pytest.raises(InputError, match="lengths differ"):
-        attribute_classes([1, 2], [1])
-
-
 @pytest.fixture(params=["lb_n3_0", "lb_n3_1", "os0_128_u1", "single_scan_016"])
 def street(request):
     """A recorded scan of a street with passive near-infrared brightness and calibrated reflectivity."""
@@ -103,15 +94,9 @@ def test_a_recorded_street_is_not_called_water(street):
 
 
 def test_recorded_reflectivity_splits_where_its_histogram_has_a_valley(street):
-    name, _, near_ir, reflectivity = street
+    name, _, _, reflectivity = street
     threshold = dark_threshold(reflectivity)
     # Values up to 1 pile up there. Only in this scan there are few between them and the asphalt: 14 607 ones, 3 700 of
     # each of 2 to 4, 6 900 sixes.
     assert threshold.valley == (name == "single_scan_016")
     assert 1 < threshold.value < 0.5 * np.median(reflectivity)
-    classes, thresholds = attribute_classes(reflectivity, near_ir)
-    assert thresholds[0] == threshold.value
-    share = np.bincount(classes, minlength=5) / len(classes)
-    assert share[0] == 0
-    assert share[1] > 0.6  # both high
-    assert share[3] == pytest.approx(np.mean(reflectivity < threshold.value), abs=0.07)
