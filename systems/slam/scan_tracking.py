@@ -63,6 +63,10 @@ class ScanMatcherConfig:
     # registered once more: tracks say little of a turn, and what cameras see at rest is laid on that keyframe.
     rest_distance: float = quantity(0.03, unit="m", low=0)
     rest_angle_deg: float = quantity(1.0, unit="deg", low=0)
+    # [deg] With odometry, a scan during which roll and pitch change by more than this is passed over for a calm one,
+    # for at most another `keyframe_distance` of way: while a robot tips over an edge, odometry that is a few
+    # hundredths of a second late is off by degrees, and the map would follow it from then on.
+    max_swing_deg: float = quantity(1.5, unit="deg", above=0)
     # [m] Keyframe clouds are thinned to this grid.
     keyframe_voxel: float = quantity(0.1, unit="m", above=0)
     # [m] Points nearer than `min_range` are the robot itself, points beyond `max_range` are not trusted.
@@ -149,8 +153,9 @@ def track_scan(
         cloud_S = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
         return _accept(track, scan, cloud_S, X_BS, first, X_OB, config)
     sweep = scan.end_time > scan.start_time
-    if X_OB is not None and not (
-        _moved(track.tried_at, X_OB, config) or (sweep and _came_to_rest(track, X_OB, X_BB0, config))
+    if X_OB is not None and (
+        _swings(track, X_OB, X_BB0, config)
+        or not (_moved(track.tried_at, X_OB, config) or (sweep and _came_to_rest(track, X_OB, X_BB0, config)))
     ):
         return replace(track, health=replace(track.health, scans_used=track.health.scans_used + 1))
     cloud_S = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
@@ -249,6 +254,14 @@ def _predicted_step(track: Track, time: float) -> RigidTransform:
 def _moved(X_AB: RigidTransform, X_AC: RigidTransform, config: ScanMatcherConfig) -> bool:
     distance, angle = distance_and_angle(X_AB.inverse() @ X_AC)
     return distance >= config.keyframe_distance or angle >= np.deg2rad(config.keyframe_angle_deg)
+
+
+def _swings(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> bool:
+    """Whether the robot tips so fast that it is better to wait for the next scan, and there is still time to wait."""
+    R = X_BB0.rotation().matrix()
+    swing = 0.5 * float(np.hypot(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0]))
+    distance, _ = distance_and_angle(track.tried_at.inverse() @ X_OB)
+    return swing > np.sin(np.deg2rad(config.max_swing_deg)) and distance < 2 * config.keyframe_distance
 
 
 def _came_to_rest(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> bool:

@@ -108,6 +108,32 @@ def test_a_robot_that_comes_to_rest_after_a_small_motion_makes_one_more_keyframe
         assert track.keyframe.health > 0.5
 
 
+def test_while_the_robot_tips_it_waits_for_a_calm_scan():
+    """Odometry that is half a scan late is off by 4° in the middle of tipping; a pose found then would stay off."""
+    pitches = np.deg2rad([0, 0, 0, -8, -16, -24, -24, -24, -24])
+    X_WB = [pose(-1.5 + 0.18 * i, -1.0, 0.3, pitch=pitch) for i, pitch in enumerate(pitches)]
+    late = [pitches[0], *(0.5 * (a + b) for a, b in pairwise(pitches))]
+    X_OB = [pose(*X.translation(), pitch=pitch) for X, pitch in zip(X_WB, late, strict=True)]
+
+    def follow_tipping(config):
+        """Scans that were registered, and how far the odometry frame, which is the world, ever leaned in the map."""
+        track, made, lean = Track(X_WB[0], X_OB=X_OB[0]), set(), 0.0
+        for i in range(1, len(X_WB)):
+            scan = replace(scan_at(X_WB[i], i), start_time=PERIOD * (i - 1))
+            track = track_scan(track, scan, X_BS, config, (X_OB[i - 1], X_OB[i]))
+            made.add(track.keyframe.index)
+            lean = max(lean, np.rad2deg(distance_and_angle(track.X_MO)[1]))
+        return made, lean
+
+    # By their way alone, the fourth and the seventh scan are registered.
+    made, lean = follow_tipping(ScanMatcherConfig(keyframe_angle_deg=90, max_swing_deg=90))
+    assert made == {1, 4, 7}
+    assert lean > 3
+    made, lean = follow_tipping(ScanMatcherConfig(keyframe_angle_deg=90))
+    assert made == {1, 7}
+    assert lean < 0.5
+
+
 def test_the_first_scan_is_placed_where_odometry_says():
     X_WB = path(3)
     track = Track(X_WB[0], X_OB=pose(5.0, 0.0, 0.0))
