@@ -124,6 +124,43 @@ def extrinsics(
     raise typer.Exit(run(load_scenario(ExtrinsicsScenario, scenario, settings or (), seed), options))
 
 
+@app.command(context_settings={"allow_interspersed_args": True})
+def campaign(
+    mission: Annotated[str, typer.Argument(help="A mission, such as survey.")],
+    arguments: Annotated[list[str] | None, typer.Argument(help="Its arguments, such as a scenario.")] = None,
+    runs: Annotated[int, typer.Option("--runs", help="Seeds at every point of the grid.")] = 10,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="The first of them.")] = 0,
+    grid: Annotated[
+        list[str] | None, typer.Option("--grid", metavar="PATH=[VALUE,...]", help="Values of one scenario value.")
+    ] = None,
+    settings: Settings = None,
+    jobs: Annotated[int, typer.Option("--jobs", help="Runs at the same time.")] = 1,
+    backend: Annotated[str, typer.Option("--backend", help="loky on this machine, ray on a cluster.")] = "loky",
+    out: Out = None,
+) -> None:
+    """Run a mission over many seeds and values, one process each; run it again to go on where it stopped."""
+    from .campaign import Campaign, parse_grid, run_campaign
+
+    missions = sorted(
+        command.name or command.callback.__name__ for command in app.registered_commands if command.callback
+    )
+    if mission == "campaign" or mission not in missions:
+        valid = [name for name in missions if name != "campaign"]
+        raise InputError("unknown mission", where="campaign", value=mission, valid=valid)
+    common = [word for setting in settings or () for word in ("--set", setting)]
+    planned = Campaign(
+        mission=mission,
+        arguments=[*(arguments or ()), *common],
+        runs=runs,
+        first_seed=first_seed,
+        grid=parse_grid(grid or ()),
+        jobs=jobs,
+        backend=backend,
+        out=out or Path("out/campaign"),
+    )
+    raise typer.Exit(run_campaign(planned))
+
+
 def main() -> None:
     """Runs the command line; bad input is one line and exit code 2."""
     try:

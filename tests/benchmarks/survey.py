@@ -8,14 +8,14 @@ Every run is a `naraha survey` in a process of its own; those that are there alr
 """
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from naraha.diagrams.campaign import Run, read_metrics, run_in_a_process
 
 from .report import print_table, write_json
 
@@ -54,25 +54,23 @@ KEYS = {
 }
 
 
-def survey(out: Path, arguments: list[str]) -> dict[str, float]:
+def survey(out: Path, seed: int, settings: list[str]) -> dict[str, Any]:
     """Runs a survey into `out`, unless it is there, and returns its metrics."""
-    file = out / "metrics.json"
-    if not file.is_file() or json.loads(file.read_text())["status"] != "done":
-        command = [sys.executable, "-m", "naraha.diagrams", "survey", "--out", str(out), *QUICK, *arguments]
-        environment = os.environ | {"OMP_NUM_THREADS": "1"}
-        subprocess.run(command, env=environment, capture_output=True, check=False)
-    metrics: dict[str, float] = json.loads(file.read_text()) if file.is_file() else {"status": "failed"}  # type: ignore[dict-item]
+    metrics = read_metrics(out)
+    if metrics is None or metrics["status"] != "done":
+        run = Run(folder=out, seed=seed, values={}, arguments=("survey", *QUICK, "--seed", str(seed), *settings))
+        metrics = run_in_a_process((sys.executable, "-m", "naraha.diagrams"), run)
     return metrics
 
 
-def survey_seed(seed: int, folder: Path, later: bool, baseline: bool) -> dict[str, dict[str, float]]:
+def survey_seed(seed: int, folder: Path, later: bool, baseline: bool) -> dict[str, dict[str, Any]]:
     """The survey of one seed, and the later one."""
     before = folder / f"seed_{seed:02}"
     quick = [] if baseline else ["--set", "baseline=null"]
-    runs = {"before": survey(before, ["--seed", str(seed), *quick])}
+    runs = {"before": survey(before, seed, quick)}
     if later:
-        arguments = ["--seed", str(seed), *quick, "--set", "world.name=stair_hall_later", "--earlier", str(before)]
-        runs["later"] = survey(folder / f"seed_{seed:02}_later", arguments)
+        settings = [*quick, "--set", "world.name=stair_hall_later", "--earlier", str(before)]
+        runs["later"] = survey(folder / f"seed_{seed:02}_later", seed, settings)
     return runs
 
 
