@@ -23,7 +23,9 @@ def shipped_scenarios() -> list[str]:
     return sorted(path.stem for path in SCENARIOS_DIR.glob("*.yaml"))
 
 
-def load_scenario[T](schema: type[T], name: str, settings: Iterable[str] = (), seed: int | None = None) -> T:
+def load_scenario[T](
+    schema: type[T], name: str, settings: Iterable[str] = (), seed: int | None = None, *, base: Path | None = None
+) -> T:
     """Reads a scenario, applies settings, and checks every key and every range.
 
     Args:
@@ -31,22 +33,25 @@ def load_scenario[T](schema: type[T], name: str, settings: Iterable[str] = (), s
         name: a shipped scenario's name, or a YAML file.
         settings: `path=value` items of the command line; the path is dotted, the value YAML.
         seed: replaces the scenario's `seed`.
+        base: a YAML file whose values hold where the scenario has none, such as that of a robot.
 
     Raises:
         ScenarioError, ConfigError: one line that names file, key and the valid values.
     """
     path = _find(name)
-    try:
-        data = yaml_load_data(path.read_text())
-    except OSError as error:
-        raise ScenarioError(error.strerror or "cannot be read", where=path) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"not YAML: {_one_line(error)}", where=path) from None
-    if not isinstance(data, dict):
-        raise ScenarioError("not a scenario", where=path, value=data, valid="a mapping of keys to values")
-    _check_keys(schema, data, path, "")
+    sources: list[tuple[object, dict[str, Any]]] = [(path, _read(path))]
+    if base is not None:
+        # A robot's file serves every mission: each takes what it knows.
+        known = _fields(schema) or {}
+        sources.insert(0, (base, {key: value for key, value in _read(base).items() if key in known}))
+    data: dict[str, Any] = {}
+    for _, source in sources:
+        data = _merged(data, source)
     for setting in settings:
-        _apply_setting(schema, data, setting)
+        sources.append(_apply_setting(data, setting))
+    _fill_in(schema, data)
+    for where, source in sources:
+        _check_keys(schema, _with_tags(source, data), where, "")
     if seed is not None:
         data["seed"] = seed
     try:
@@ -75,6 +80,32 @@ def _add_nulls(config: Any, data: Any) -> None:
             _add_nulls(value, data.get(field.name))
 
 
+def _read(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file."""
+    try:
+        data = yaml_load_data(path.read_text())
+    except OSError as error:
+        raise ScenarioError(error.strerror or "cannot be read", where=path) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"not YAML: {_one_line(error)}", where=path) from None
+    if not isinstance(data, dict):
+        raise ScenarioError("not a scenario", where=path, value=data, valid="a mapping of keys to values")
+    return data
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of `base` with the values of `over`, by mapping; a mapping with another tag replaces the whole."""
+    merged: dict[str, Any] = copy.deepcopy(dict(base))
+    for key, value in over.items():
+        below: Any = merged.get(key)
+        mappings = isinstance(value, Mapping) and isinstance(below, Mapping)
+        if mappings and value.get("_tag", below.get("_tag")) == below.get("_tag"):
+            merged[key] = _merged(below, value)
+        else:
+            merged[key] = copy.deepcopy(value)
+    return merged
+
+
 def _find(name: str) -> Path:
     if name in shipped_scenarios():
         return SCENARIOS_DIR / f"{name}.yaml"
@@ -84,7 +115,8 @@ def _find(name: str) -> Path:
     raise ScenarioError("no such scenario or file", where=name, valid=[*shipped_scenarios(), "a YAML file"])
 
 
-def _apply_setting(schema: type, data: dict[str, Any], setting: str) -> None:
+def _apply_setting(data: dict[str, Any], setting: str) -> tuple[str, dict[str, Any]]:
+    """Changes `data`; returns what to call the setting in errors, and what it says, as a scenario of its own."""
     where = f"--set {setting}"
     path, equals, text = setting.partition("=")
     keys = path.split(".")
@@ -99,12 +131,29 @@ def _apply_setting(schema: type, data: dict[str, Any], setting: str) -> None:
     for key in keys[:-1]:
         leaf[key] = leaf = {}
     leaf[keys[-1]] = copy.deepcopy(value)
-    _check_keys(schema, branch, where, "")
     for key in keys[:-1]:
         if not isinstance(data.get(key), dict):
             data[key] = {}
         data = data[key]
     data[keys[-1]] = value
+    return where, branch
+
+
+def _fill_in(schema: Any, data: Any) -> None:
+    """Lets every part of the schema that has a `fill_in` complete its entries by each other."""
+    if dataclasses.is_dataclass(schema) and isinstance(data, dict):
+        for field in dataclasses.fields(schema):
+            _fill_in(field.type, data.get(field.name))
+        if hasattr(schema, "fill_in"):
+            schema.fill_in(data)
+
+
+def _with_tags(source: Any, data: Any) -> Any:
+    """A copy of `source` with the tags that `data` has in the same places."""
+    if not isinstance(source, dict) or not isinstance(data, dict):
+        return source
+    tags = {"_tag": data["_tag"]} if "_tag" in data else {}
+    return tags | {key: _with_tags(value, data.get(key)) for key, value in source.items()}
 
 
 def _check_keys(schema: Any, data: Any, where: object, key: str) -> None:

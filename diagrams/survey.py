@@ -65,7 +65,8 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     connect(builder, tour, "reference_pose", tracking)
     connect(builder, tour, "reference_twist", tracking)
     connect(builder, tracking, "twist_command", station)
-    connect(builder, tour, "flipper_preset", station)
+    if station.HasInputPort("flipper_preset"):
+        connect(builder, tour, "flipper_preset", station)
     if meshcat is not None:
         display = builder.AddNamedSystem("display", SemanticDisplay(scenario.display, meshcat))
         connect(builder, mapped, "keyframe", display)
@@ -77,7 +78,7 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
 
 def check_flippers(scenario: SurveyScenario) -> None:
     """Raises `ConfigError` for a waypoint whose flipper preset the driver does not have."""
-    presets = ["auto", *scenario.robot.driver.flipper_presets]
+    presets = ["auto", *getattr(scenario.robot.known_driver(), "flipper_presets", ())]
     for i, waypoint in enumerate(scenario.tour.waypoints):
         if waypoint.flippers not in presets:
             key = f"tour.waypoints[{i}].flippers"

@@ -23,7 +23,21 @@ import numpy as np
 from naraha.systems.config import check_config, quantity
 from naraha.systems.errors import ConfigError
 
-from .urdf_xml import Colour, add_collision, add_frame, add_joint, add_link, add_visual, box, cylinder, numbers, sphere
+from ..belt import Belt, add_belt
+from ..urdf_xml import (
+    Colour,
+    add_actuator,
+    add_collision,
+    add_frame,
+    add_joint,
+    add_link,
+    add_visual,
+    box,
+    cylinder,
+    numbers,
+    sphere,
+    urdf_text,
+)
 
 _ORANGE: Colour = (0.93, 0.36, 0.03)
 _RUBBER: Colour = (0.085, 0.085, 0.095)
@@ -180,16 +194,8 @@ def crawler_urdf(shape: CrawlerShape) -> str:
         for side, sign in (("left", 1), ("right", -1)):
             _add_flipper(robot, shape, end, side, sign)
     _add_sensors(robot, shape)
-    # Neighbouring belts overlap at the axles: without this the robot pushes itself apart.
-    group = ElementTree.SubElement(robot, "drake:collision_filter_group", name="crawler")
-    for link in robot.findall("link"):
-        ElementTree.SubElement(group, "drake:member", link=link.get("name", ""))
-    ElementTree.SubElement(group, "drake:ignored_collision_filter_group", name="crawler")
-    ElementTree.indent(robot)
-    head = (
-        '<?xml version="1.0"?>\n<!-- Written by `python -m naraha.models.crawler.urdf`; change urdf.py instead. -->\n'
-    )
-    return head + ElementTree.tostring(robot, encoding="unicode") + "\n"
+    # Neighbouring belts overlap at the axles.
+    return urdf_text(robot, "naraha.models.crawler.urdf")
 
 
 def main() -> None:
@@ -222,17 +228,20 @@ def _add_track(robot: ElementTree.Element, shape: CrawlerShape, side: str, sign:
     r, length, width = shape.track_radius, shape.track_length, shape.belt_width
     track = add_link(robot, f"{side}_track", shape.track_mass, (length + 2 * r, width, 2 * r))
     y = sign * (shape.belt_outer_edge - width / 2)
-    for i in range(shape.footing_count):
-        x = ((i + 0.5) / shape.footing_count - 0.5) * length
-        y_edge = sign * (width / 2 - shape.footing_radius) * (1 if i % 2 == 0 else -1)
-        centre = (x, y_edge, shape.footing_radius - r)
-        add_collision(track, shape.belt_friction, centre, sphere(shape.footing_radius))
     # As large as the belt's radius, or as the over-all width leaves room for.
     large = min(r, shape.belt_outer_edge + shape.flipper_width - abs(y))
     spacing = 2 * large * math.sin(shape.outline_tilt)
-    for x, z in belt_outline(r - large, r - large, length, spacing, rear_arc=True):
-        add_collision(track, shape.belt_friction, (x - length / 2, 0, z), sphere(large - shape.outline_relief))
-    ElementTree.SubElement(track, "drake:surface_velocity_axis", axis="0 1 0")
+    belt = Belt(
+        friction=shape.belt_friction,
+        flat=(-length / 2, length / 2),
+        ground=-r,
+        width=width,
+        footing_count=shape.footing_count,
+        footing_radius=shape.footing_radius,
+        outline=belt_outline(r - large, r - large, length, spacing, rear_arc=True) - [length / 2, 0],
+        outline_radius=large - shape.outline_relief,
+    )
+    add_belt(track, belt, outside=sign)
     across = (math.pi / 2, 0.0, 0.0)
     add_visual(track, _RUBBER, (0, 0, 0), box(length, width, 2 * r))
     for x in (-length / 2, length / 2):
@@ -283,12 +292,7 @@ def _add_flipper(robot: ElementTree.Element, shape: CrawlerShape, end: str, side
         effort=f"{shape.flipper_effort:g}",
         velocity=f"{shape.flipper_speed:g}",
     )
-    transmission = ElementTree.SubElement(robot, "transmission")
-    ElementTree.SubElement(transmission, "type").text = "SimpleTransmission"
-    ElementTree.SubElement(transmission, "joint", name=f"{name}_joint")
-    actuator = ElementTree.SubElement(transmission, "actuator", name=f"{name}_actuator")
-    gains = {"p": f"{shape.flipper_p:g}", "d": f"{shape.flipper_d:g}"}
-    ElementTree.SubElement(actuator, "drake:controller_gains", gains)
+    add_actuator(robot, name, p=shape.flipper_p, d=shape.flipper_d)
 
 
 _LIDAR_RADIUS, _LIDAR_LENGTH, _LIDAR_CENTRE = 0.0516, 0.0717, 0.0377

@@ -28,6 +28,35 @@ class TrackDriverConfig:
     gauge: float = quantity(0.47, unit="m", above=0.0)
 
 
+def declare_command(system: LeafSystem) -> None:
+    """Declares the two inputs of `read_command`."""
+    system.DeclareVectorInputPort("twist_command", 2)
+    system.DeclareVectorInputPort("track_speed_command", 2)
+
+
+def read_command(system: LeafSystem, context: Context, gauge: float) -> np.ndarray:
+    """The commanded speeds (left, right) [m/s] before any limit; zero for a command that is not finite.
+
+    Raises:
+        PortError: none or both of `twist_command` and `track_speed_command` are connected.
+    """
+    by_twist, by_speeds = (
+        system.GetInputPort(name).HasValue(context) for name in ("twist_command", "track_speed_command")
+    )
+    if by_twist == by_speeds:
+        raise PortError(
+            "both inputs are connected" if by_twist else "no input is connected",
+            where=system.get_name() or type(system).__name__,
+            valid="exactly one of twist_command and track_speed_command",
+        )
+    if by_twist:
+        speed, yaw_rate = eval_typed(system, context, "twist_command", np.ndarray)
+        speeds = twist_to_track_speeds(speed, yaw_rate, gauge)
+    else:
+        speeds = eval_typed(system, context, "track_speed_command", np.ndarray)
+    return speeds if np.isfinite(speeds).all() else np.zeros(2)
+
+
 class TrackDriver(LeafSystem):
     """
     .. pydrake_system::
@@ -65,8 +94,7 @@ class TrackDriver(LeafSystem):
         check_config(config)
         self._config = config
         self._surfaces = (*((name, 0) for name in left_surfaces), *((name, 1) for name in right_surfaces))
-        self._twist_command = self.DeclareVectorInputPort("twist_command", 2)
-        self._track_speed_command = self.DeclareVectorInputPort("track_speed_command", 2)
+        declare_command(self)
         self._track_speeds = self.DeclareDiscreteState(2)
         self.DeclarePeriodicDiscreteUpdateEvent(config.period, 0.0, self._Update)
         self.DeclareAbstractOutputPort(
@@ -77,25 +105,8 @@ class TrackDriver(LeafSystem):
         )
         self.DeclareStateOutputPort("commanded_track_speeds", self._track_speeds)
 
-    def _command(self, context: Context) -> np.ndarray:
-        """The commanded track speeds before any limit; raises PortError unless exactly one input is connected."""
-        by_twist, by_speeds = self._twist_command.HasValue(context), self._track_speed_command.HasValue(context)
-        if by_twist == by_speeds:
-            raise PortError(
-                "both inputs are connected" if by_twist else "no input is connected",
-                where=self.get_name() or type(self).__name__,
-                valid="exactly one of twist_command and track_speed_command",
-            )
-        if by_twist:
-            speed, yaw_rate = eval_typed(self, context, "twist_command", np.ndarray)
-            return twist_to_track_speeds(speed, yaw_rate, self._config.gauge)
-        return eval_typed(self, context, "track_speed_command", np.ndarray)
-
     def _Update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        target = self._command(context)
-        if not np.isfinite(target).all():
-            target = np.zeros(2)
-        target = limit_track_speeds(target, self._config.max_speed)
+        target = limit_track_speeds(read_command(self, context, self._config.gauge), self._config.max_speed)
         previous = context.get_discrete_state_vector().value()
         max_change = self._config.max_acceleration * self._config.period
         discrete_state.set_value(limit_track_acceleration(previous, target, max_change))

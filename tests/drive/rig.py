@@ -1,11 +1,13 @@
-"""A crawler with its driver on given ground, for physics tests."""
+"""A robot with its driver on given ground, for physics tests."""
 
 import functools
 
 import numpy as np
 from naraha.models import MODELS_DIR
+from naraha.models.amphibious.urdf import AmphibiousShape
 from naraha.models.crawler.urdf import CRAWLERS
-from naraha.systems.drive import CrawlerDriver
+from naraha.models.pioneer.urdf import PioneerShape
+from naraha.systems.drive import CrawlerDriver, DifferentialDriver, TrackedDriver
 from pydrake.common.value import Value
 from pydrake.geometry import Box
 from pydrake.manipulation import ApplyDriverConfigs
@@ -14,15 +16,19 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
 
 TIME_STEP = 0.004
 RIDE_HEIGHT = CRAWLERS["crawler"].track_radius
-"""Height [m] of the axles over flat ground."""
+"""Height [m] of the crawler's axles over flat ground."""
+RIDE_HEIGHTS = {"pioneer": PioneerShape().wheel_radius, "amphibious": AmphibiousShape().track_radius}
+DRIVERS = {"pioneer": DifferentialDriver, "amphibious": TrackedDriver}
 
 
 @functools.cache
 def robot_urdf(model: str) -> str:
-    return (MODELS_DIR / "crawler" / f"{model}.urdf").read_text(encoding="utf-8")
+    (path,) = MODELS_DIR.glob(f"*/{model}.urdf")
+    return path.read_text(encoding="utf-8")
 
 
 FLOOR = [((0.0, 0.0, -0.5), (30.0, 30.0, 1.0))]
@@ -68,35 +74,41 @@ class Rig:
         config = MultibodyPlantConfig(time_step=time_step, discrete_contact_approximation="lagged")
         self.plant, self.scene_graph = AddMultibodyPlant(config, builder)
         (self.model,) = Parser(self.plant).AddModelsFromString(urdf or robot_urdf(model), "urdf")
+        name = self.plant.GetModelInstanceName(self.model)
         friction = CoulombFriction(ground_friction, ground_friction)
         for i, (pose, size) in enumerate(boxes):
             X_WG = pose if isinstance(pose, RigidTransform) else RigidTransform(pose)
             self.plant.RegisterCollisionGeometry(self.plant.world_body(), X_WG, Box(*size), f"ground{i}", friction)
         self.base = self.plant.GetBodyByName("base")
-        self.plant.SetDefaultFloatingBaseBodyPose(
-            self.base, RigidTransform([0, 0, RIDE_HEIGHT]) if X_WB is None else X_WB
-        )
+        height = RIDE_HEIGHTS.get(name, RIDE_HEIGHT)
+        self.plant.SetDefaultFloatingBaseBodyPose(self.base, RigidTransform([0, 0, height]) if X_WB is None else X_WB)
         self.plant.Finalize()
         ApplyDriverConfigs(
-            driver_configs={"crawler": driver or CrawlerDriver(command="track_speeds")},
+            driver_configs={name: driver or DRIVERS.get(name, CrawlerDriver)(command="track_speeds")},
             sim_plant=self.plant,
             models_from_directives=[],
             lcm_buses=None,
             builder=builder,
         )
-        self.driver = builder.GetSubsystemByName("crawler.driver")
+        self.driver = builder.GetSubsystemByName(f"{name}.driver")
         attitude = builder.AddSystem(_TrueAttitude(self.plant))
         builder.Connect(self.plant.get_state_output_port(), attitude.get_input_port())
-        builder.Connect(attitude.get_output_port(), self.driver.GetInputPort("rpy"))
+        if self.driver.HasInputPort("rpy"):
+            builder.Connect(attitude.get_output_port(), self.driver.GetInputPort("rpy"))
+        if self.driver.HasInputPort("tilt_setpoint"):
+            level = builder.AddSystem(ConstantVectorSource(np.zeros(2)))
+            builder.Connect(level.get_output_port(), self.driver.GetInputPort("tilt_setpoint"))
         self._command = "twist_command" if self.driver.HasInputPort("twist_command") else "track_speed_command"
-        for name in (self._command, "flipper_preset"):
-            builder.ExportInput(self.driver.GetInputPort(name), name)
+        for port in (self._command, "flipper_preset"):
+            if self.driver.HasInputPort(port):
+                builder.ExportInput(self.driver.GetInputPort(port), port)
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
         self.plant_context = self.plant.GetMyContextFromRoot(self.context)
         self.command(0.0, 0.0)
-        self.preset(preset)
+        if self.diagram.HasInputPort("flipper_preset"):
+            self.preset(preset)
 
     def command(self, *values):
         """Sets the twist (v, ω) or the track speeds (left, right), whichever the driver takes."""
@@ -140,11 +152,15 @@ class Rig:
         return np.array(points).reshape(-1, 3), np.array(loads), links
 
 
-def slope(angle):
-    """A plane that rises along +x with `angle` [rad] through the origin, and the pose of a robot that stands on it."""
+def slope(angle, *, height=RIDE_HEIGHT, heading=0.0):
+    """A plane that rises along +x with `angle` [rad] through the origin, and the pose of a robot that stands on it.
+
+    height: of its base's origin [m]. heading: of the robot in the plane, 0 uphill [rad].
+    """
     R_WG = RollPitchYaw(0, -angle, 0).ToRotationMatrix()
     box = (RigidTransform(R_WG, R_WG @ [0, 0, -0.5]), (30, 30, 1))
-    return [box], RigidTransform(R_WG, R_WG @ [0, 0, RIDE_HEIGHT])
+    R_GB = RollPitchYaw(0, 0, heading).ToRotationMatrix()
+    return [box], RigidTransform(R_WG @ R_GB, R_WG @ [0, 0, height])
 
 
 def stairs(*, first_edge, rise, run, steps, landing):

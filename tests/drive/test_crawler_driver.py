@@ -4,7 +4,8 @@ import weakref
 import numpy as np
 import pytest
 from naraha.systems.drive import CrawlerDriver, make_crawler_driver
-from naraha.systems.drive.crawler_driver import ApplyDriverConfig, find_track_surfaces
+from naraha.systems.drive.crawler_driver import ApplyDriverConfig
+from naraha.systems.drive.tracks import find_track_surfaces
 from naraha.systems.errors import ConfigError
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import Parser

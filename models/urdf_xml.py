@@ -25,13 +25,27 @@ def add_link(
 
 
 def add_joint(
-    robot: ElementTree.Element, name: str, kind: str, child: str, xyz: tuple[float, float, float]
+    robot: ElementTree.Element,
+    name: str,
+    kind: str,
+    child: str,
+    xyz: tuple[float, float, float],
+    parent: str = "base",
 ) -> ElementTree.Element:
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
-    ElementTree.SubElement(joint, "parent", link="base")
+    ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
     ElementTree.SubElement(joint, "origin", xyz=numbers(*xyz))
     return joint
+
+
+def add_actuator(robot: ElementTree.Element, name: str, *, p: float, d: float) -> None:
+    """Adds the actuator "{name}_actuator" of the joint "{name}_joint" with the gains of Drake's implicit PD control."""
+    transmission = ElementTree.SubElement(robot, "transmission")
+    ElementTree.SubElement(transmission, "type").text = "SimpleTransmission"
+    ElementTree.SubElement(transmission, "joint", name=f"{name}_joint")
+    actuator = ElementTree.SubElement(transmission, "actuator", name=f"{name}_actuator")
+    ElementTree.SubElement(actuator, "drake:controller_gains", {"p": f"{p:g}", "d": f"{d:g}"})
 
 
 def add_frame(
@@ -72,6 +86,18 @@ def add_visual(
     ElementTree.SubElement(visual, "geometry").append(shape)
     material = ElementTree.SubElement(visual, "material", name=f"{link.get('name')}_{len(link.findall('visual'))}")
     ElementTree.SubElement(material, "color", rgba=numbers(*colour, 1.0))
+
+
+def urdf_text(robot: ElementTree.Element, module: str) -> str:
+    """The file's text; `module` is what writes it. Contact between the robot's own links is filtered out."""
+    name = robot.get("name", "")
+    group = ElementTree.SubElement(robot, "drake:collision_filter_group", name=name)
+    for link in robot.findall("link"):
+        ElementTree.SubElement(group, "drake:member", link=link.get("name", ""))
+    ElementTree.SubElement(group, "drake:ignored_collision_filter_group", name=name)
+    ElementTree.indent(robot)
+    head = f'<?xml version="1.0"?>\n<!-- Written by `python -m {module}`; change urdf.py instead. -->\n'
+    return head + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
 def box(x: float, y: float, z: float) -> ElementTree.Element:

@@ -1,0 +1,1 @@
+"""The amphibious robot: `amphibious.urdf`, and the script that writes it."""

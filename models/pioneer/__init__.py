@@ -1,0 +1,1 @@
+"""The Pioneer 3-DX: `pioneer.urdf`, and the script that writes it."""
