@@ -5,14 +5,19 @@ from pathlib import Path
 
 from naraha.systems.errors import WorldError
 
-from . import corridor, rough, stair_hall
+from . import corridor, e2827, real_like, rough, rough_field, stair_hall, stuck
 from .world import Solid, World, load_world_file
 
 BUILDERS: dict[str, Callable[[int], World]] = {
     "corridor": corridor.build,
+    "e2827": e2827.build,
+    "real_like": real_like.build,
     "rough": rough.build,
+    "rough_field": lambda seed: rough_field.build(seed).world,
+    "rough_field_blocked": lambda seed: rough_field.build(seed, blocked=True).world,
     "stair_hall": stair_hall.build,
     "stair_hall_later": stair_hall.build_later,
+    **{f"stuck_{kind}": stuck.build(kind) for kind in stuck.KINDS},
 }
 
 
