@@ -1,11 +1,16 @@
 """Following a path: waypoint tours and Kanayama's tracking law."""
 
 from .kanayama import KanayamaConfig, KanayamaTracking, kanayama_law, planar_pose, pose_error
+from .path import Path
+from .path_follower import PathFollower, PathFollowerConfig
 from .waypoint_tour import TourConfig, Waypoint, WaypointTour, leg_reference
 
 __all__ = [
     "KanayamaConfig",
     "KanayamaTracking",
+    "Path",
+    "PathFollower",
+    "PathFollowerConfig",
     "TourConfig",
     "Waypoint",
     "WaypointTour",

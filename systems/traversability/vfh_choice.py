@@ -1,0 +1,89 @@
+"""Which direction of the histogram to take, and whether there is room to turn or to back up (row S3-c)."""
+
+import math
+
+import numpy as np
+
+from .histogram import RiskHistogram
+from .vfh_state import Sight, VfhConfig
+
+# [m] Over which remembered ground is asked about the beginning of a direction.
+_VETO = (0.15, 0.7)
+
+
+def wrapped(angle: float) -> float:
+    """The angle in (-pi, pi] [rad]."""
+    return float(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+def nearest_to_goal(histogram: RiskHistogram, goal_H: np.ndarray) -> int | None:
+    """The paper's choice: of the passable rectangles the one whose far edge's midpoint is nearest to the goal.
+
+    Args:
+        goal_H: (2,) [m], in the heading frame.
+    """
+    if not histogram.passable.any():
+        return None
+    distance = np.hypot(*(histogram.far_edges - goal_H).T)
+    return int(np.argmin(np.where(histogram.passable, distance, np.inf)))
+
+
+def best_direction(sight: Sight, wanted: float, aim: float, config: VfhConfig) -> int | None:
+    """Of the passable rectangles, that in the direction nearest to the `wanted`, with inertia.
+
+    Where the beginning of a direction is blocked over remembered ground, it is left out: a rectangle may be narrower
+    than the robot.
+
+    Args:
+        wanted: direction in the heading frame [rad]. aim: direction in M that was driven in so far [rad], or NaN.
+    """
+    histogram = sight.histogram
+    away = _angle_between(histogram.directions, wanted)
+    if np.isfinite(aim):
+        away = away + config.inertia * _angle_between(histogram.directions, aim - sight.pose[2])
+    for k in np.argsort(away, kind="stable"):
+        if histogram.passable[k] and open_ahead(sight, float(histogram.directions[k])):
+            return int(k)
+    return None
+
+
+def open_ahead(sight: Sight, direction: float) -> bool:
+    """Whether remembered ground leaves the beginning of a direction (in the heading frame, [rad]) open.
+
+    It always does where the robot is too near to an obstacle already: it must get away."""
+    if sight.field is None:
+        return True
+    heading = direction + sight.pose[2]
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    start, end = (sight.pose[:2] + length * ahead for length in _VETO)
+    too_near = not np.isfinite(sight.field.line(sight.pose[:2], start)[0])
+    return too_near or bool(np.isfinite(sight.field.line(start, end)[0]))
+
+
+def room_to_turn(obstacles: np.ndarray, footprint: list[float], turn: float) -> bool:
+    """Whether a rectangle, length × width around the origin, can turn by `turn` [rad] without touching an obstacle.
+
+    Args:
+        obstacles: (n, 2) [m], in the rectangle's frame. What is inside it already does not count.
+    """
+    rest = obstacles[~_inside(obstacles, footprint)]
+    # At a corner 3 cm an angle, below the size of a cell.
+    step = 0.06 / math.hypot(*footprint)
+    angles = np.linspace(0, turn, 2 + int(abs(turn) / step))[:, None]
+    c, s = np.cos(angles), np.sin(angles)
+    x, y = rest.T
+    return not _inside(np.stack([c * x + s * y, c * y - s * x], axis=-1), footprint).any()
+
+
+def room_behind(obstacles: np.ndarray, footprint: list[float], distance: float = 0.15) -> bool:
+    """Whether the strip of `distance` [m] behind the rectangle is free of obstacles (n, 2) in its frame."""
+    x, y = obstacles.T
+    return not ((np.abs(y) < 0.5 * footprint[1]) & (x < 0) & (x > -0.5 * footprint[0] - distance)).any()
+
+
+def _angle_between(directions: np.ndarray, angle: float) -> np.ndarray:
+    return np.abs(np.remainder(directions - angle + np.pi, 2 * np.pi) - np.pi)
+
+
+def _inside(points: np.ndarray, footprint: list[float]) -> np.ndarray:
+    return (np.abs(points) < 0.5 * np.array(footprint)).all(axis=-1)

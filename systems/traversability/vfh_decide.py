@@ -1,0 +1,259 @@
+"""The decisions of the fuzzy VFH controller as a pure function from state and sight to state and command."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .ability import Ability
+from .risk_map import IMPASSABLE
+from .vfh_choice import best_direction, nearest_to_goal, open_ahead, room_behind, room_to_turn, wrapped
+from .vfh_state import ARRIVED, BACKING, DRIVING, LOOKING, NO_WAY, TURNING, Command, Sight, VfhConfig, VfhState
+from .wavefront import ALWAYS, IF_UNSEEN
+
+Decision = tuple[VfhState, Command]
+_FULL_TURN = 2 * np.pi
+_NOWHERE = (np.nan, np.nan)
+# [rad] A robot that turned so far on one spot goes from one way to another and back.
+_TO_AND_FRO = 1.5 * _FULL_TURN
+# [rad] Within this the robot looks into the direction it wants.
+_ALIGNED = 0.15
+# [m] What it saw from a spot it has seen from all around as far as this.
+_AWAY = 0.5
+# A robot keeps no more marks than this; the oldest goes first.
+_MOST_MARKS = 64
+
+
+def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
+    """What to do now.
+
+    In this order: stay at the goal; end a stretch of backing up; when remembered ground has no way to the goal, look
+    around once and then say so; else drive, turn on the spot or back up, see `_go`.
+    """
+    goal = (float(sight.goal[0]), float(sight.goal[1]))
+    if goal != state.goal:
+        state = VfhState(goal=goal, marks=state.marks, index=state.index)
+    left = float(np.hypot(*(sight.goal - sight.pose[:2])))
+    if left <= config.tolerance * (2 if state.status == ARRIVED else 1):
+        return _rest(replace(state, status=ARRIVED), sight)
+    if config.preset == "paper":
+        return _paper(state, sight, ability, config)
+    state = _watch(state, sight, config)
+    if state.status == BACKING and not _backed_enough(state, sight, ability, config):
+        return state, Command(v_r=-config.back_speed)
+    if _stuck(state, sight, config):
+        return _free(state, sight, ability, config)
+    if state.status == NO_WAY and state.again < config.confirmations:
+        return _rest(state, sight)
+    if state.without > 1 or (sight.way is None and state.without > 0):
+        return _look_around(state, sight, ability, config)
+    if sight.way is None:
+        return _rest(replace(state, status=LOOKING), sight)
+    return _go(state, sight, ability, config)
+
+
+def _paper(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
+    """S3-c as it stands: the sub-goal is the far edge of the candidate nearest to the goal; without any it waits."""
+    theta = sight.pose[2]
+    R_HM = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    choice = nearest_to_goal(sight.histogram, R_HM @ (sight.goal - sight.pose[:2]))
+    if choice is None:
+        return replace(state, status=NO_WAY), Command()
+    x, y = sight.pose[:2] + sight.histogram.far_edges[choice] @ R_HM
+    heading = wrapped(theta + sight.histogram.directions[choice])
+    subgoal, v_r = (float(x), float(y), heading), config.reference_share * ability.max_speed
+    return replace(state, status=DRIVING), Command(subgoal, v_r, 0.0, float(sight.histogram.risk[choice]))
+
+
+def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
+    """The state with what moved since the last decision."""
+    x, y, heading = (float(value) for value in sight.pose)
+    if np.isfinite(state.heading):
+        state = replace(state, turned=state.turned + abs(wrapped(heading - state.heading)))
+    if not np.hypot(x - state.spot[0], y - state.spot[1]) < _AWAY:
+        state = replace(state, turned=0.0, spot=(x, y), held=_NOWHERE)
+    moved = np.hypot(x - state.anchor[0], y - state.anchor[1])
+    moved_or_turned = not (
+        moved < config.stuck_distance and abs(wrapped(heading - state.anchor[2])) < np.deg2rad(config.stuck_turn_deg)
+    )
+    if moved_or_turned or state.status in (ARRIVED, NO_WAY):
+        state = replace(state, anchor=(x, y, heading, sight.time))
+    if sight.index != state.index:
+        none = sight.way is None
+        state = replace(state, without=state.without + 1 if none else 0, again=0 if none else state.again + 1)
+    return replace(state, heading=heading, index=sight.index)
+
+
+def _stuck(state: VfhState, sight: Sight, config: VfhConfig) -> bool:
+    """Whether it was told to move for long, and did not."""
+    return sight.time - state.anchor[3] > config.stuck_time
+
+
+def _free(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
+    """Was told to move and did not: what is ahead is marked, and the robot backs up; if it turned, the other way."""
+    anchor = (*state.anchor[:3], sight.time)
+    if state.status == DRIVING and np.isfinite(state.aim):
+        state = _mark(state, sight, state.aim, 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
+    state = replace(state, anchor=anchor, side=-state.side, aim=np.nan)
+    if state.status in (DRIVING, TURNING) and room_behind(sight.obstacles, ability.footprint):
+        return _back_up(state, sight, config.back_distance, config)
+    return state, Command()
+
+
+def _backed_enough(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> bool:
+    x, y, since = state.back_from
+    gone = float(np.hypot(sight.pose[0] - x, sight.pose[1] - y))
+    late = sight.time - since > 2 * state.back_to / config.back_speed + 1.0
+    for_room = state.backed and room_to_turn(sight.obstacles, ability.footprint, state.side * np.pi / 2)
+    return gone >= state.back_to or late or for_room or not room_behind(sight.obstacles, ability.footprint)
+
+
+def _back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) -> Decision:
+    x, y, _ = (float(value) for value in sight.pose)
+    anchor = (*state.anchor[:3], sight.time)
+    state = replace(state, status=BACKING, back_from=(x, y, sight.time), back_to=distance, anchor=anchor)
+    return state, Command(v_r=-config.back_speed)
+
+
+def _look_around(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
+    """No way is known: turns once to see all around, then says so when it is confirmed."""
+    if state.status != LOOKING:
+        state = replace(state, status=LOOKING, turned=0.0, side=state.side or 1.0, aim=np.nan)
+    if state.turned < _FULL_TURN:
+        return _turn(state, sight, state.side * np.pi / 2, ability, config, LOOKING)
+    if state.without >= config.confirmations:
+        return _rest(replace(state, status=NO_WAY, side=0.0, again=0), sight)
+    return _rest(state, sight)
+
+
+def _go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
+    """Steers for the point on the way: over the histogram, else over near remembered ground, else by a turn."""
+    assert sight.way is not None
+    if sight.field is not None and state.turned > _TO_AND_FRO and np.isnan(state.held[0]):
+        # A gap that is just wide enough opens when the robot turns away from it. Now it goes there, or marks it.
+        state = replace(state, held=(float(sight.way[0]), float(sight.way[1])))
+    if np.isfinite(state.held[0]):
+        sight = replace(sight, way=np.array(state.held))
+    assert sight.way is not None
+    to_way = sight.way - sight.pose[:2]
+    wanted = wrapped(np.arctan2(to_way[1], to_way[0]) - sight.pose[2])
+    turning = state.status == TURNING and state.side != 0
+    if abs(wanted) > np.deg2rad(config.turn_end_deg if turning else config.turn_start_deg):
+        return _turn(state, sight, wanted, ability, config, TURNING)
+    if sight.field is None:
+        return _without_memory(state, sight, wanted, ability, config)
+    directions = sight.histogram.directions
+    half = 0.5 * float(directions[1] - directions[0]) if len(directions) > 1 else np.pi / 4
+    choice = best_direction(sight, wanted, state.aim, config)
+    away = np.inf if choice is None else abs(wrapped(directions[choice] - wanted))
+    if choice is not None and away <= 1.2 * half:
+        return _drive(state, sight, choice, wanted, half, ability, config)
+    near = _near(state, sight, wanted, ability, config)
+    if near is not None:
+        return near
+    if choice is not None and away <= np.deg2rad(config.detour_deg):
+        return _drive(state, sight, choice, wanted, half, ability, config)
+    if abs(wanted) > _ALIGNED:
+        return _turn(state, sight, wanted, ability, config, TURNING)
+    return _refused(state, sight, wanted, ability, config)
+
+
+def _without_memory(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision:
+    """Takes the candidate nearest to the goal's direction; turns to one side until there is one, at most once around.
+
+    Nothing is known of what is beside the robot, so that a turn to look ends only with a candidate well ahead.
+    """
+    looking = state.status in (LOOKING, NO_WAY)
+    choice = best_direction(sight, 0.0 if looking else wanted, state.aim, config)
+    most = np.deg2rad(config.turn_end_deg if looking else config.turn_start_deg)
+    if choice is not None and abs(sight.histogram.directions[choice]) <= most:
+        return _drive(state, sight, choice, float(sight.histogram.directions[choice]), 0.0, ability, config)
+    if state.turned >= _FULL_TURN:
+        return _rest(replace(state, status=NO_WAY, again=0), sight)
+    side = state.side or float(np.sign(wanted) or 1.0)
+    return _turn(replace(state, side=side), sight, side * np.pi / 2, ability, config, LOOKING)
+
+
+def _drive(
+    state: VfhState, sight: Sight, choice: int, wanted: float, half: float, ability: Ability, config: VfhConfig
+) -> Decision:
+    """Drives within the chosen rectangle, as near to the wanted direction as its share of the histogram goes."""
+    middle = float(sight.histogram.directions[choice])
+    direction = middle + float(np.clip(wrapped(wanted - middle), -half, half))
+    direction = direction if open_ahead(sight, direction) else middle
+    reach = float(np.hypot(*sight.histogram.far_edges[choice]))
+    risk = float(sight.histogram.risk[choice])
+    return _steer(state, sight, direction, reach, risk, ability, config)
+
+
+def _near(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision | None:
+    """A short sub-goal over remembered ground, where a rectangle ahead reaches into what the way bends around."""
+    if sight.field is None or sight.way is None:
+        return None
+    to_way = sight.way - sight.pose[:2]
+    distance = float(np.hypot(*to_way))
+    length = min(config.near, distance)
+    cost, risk, known = sight.field.line(sight.pose[:2], sight.pose[:2] + length / max(distance, 1e-9) * to_way)
+    # Not the risk decides but the price: it is finite where the robot may leave ground that it could not enter.
+    if not known or not np.isfinite(cost):
+        return None
+    return _steer(state, sight, wanted, length, risk, ability, config)
+
+
+def _steer(
+    state: VfhState, sight: Sight, direction: float, reach: float, risk: float, ability: Ability, config: VfhConfig
+) -> Decision:
+    """Sets the sub-goal `reach` ahead, or at the goal where that is nearer, and the reference speed."""
+    left = float(np.hypot(*(sight.goal - sight.pose[:2])))
+    aim = wrapped(direction + sight.pose[2])
+    length = min(reach, left)
+    x, y = sight.pose[:2] + length * np.array([np.cos(aim), np.sin(aim)])
+    share = max(config.min_speed_share, 1 - min(risk, IMPASSABLE) / ability.risk_limit)
+    slow = min(1.0, np.sqrt(2 * config.deceleration * left) / ability.max_speed)
+    v_r = config.reference_share * ability.max_speed * share * slow
+    anchor = state.anchor if state.status == DRIVING else (*state.anchor[:3], sight.time)
+    state = replace(state, status=DRIVING, aim=aim, side=0.0, backed=False, refused_since=np.nan)
+    return replace(state, anchor=anchor), Command((float(x), float(y), aim), float(v_r), 0.0, risk)
+
+
+def _turn(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig, status: str) -> Decision:
+    """Turns on the spot towards `wanted` [rad, heading frame]; backs up first where it would touch something.
+
+    A turn keeps its side until the direction is less than a right angle away, so that a direction straight behind does
+    not make it turn to and fro.
+    """
+    side = state.side if state.side and abs(wanted) > np.pi / 2 else float(np.sign(wanted) or 1.0)
+    if not room_to_turn(sight.obstacles, ability.footprint, side * min(abs(wanted), np.pi / 2)):
+        other = room_to_turn(sight.obstacles, ability.footprint, -side * np.pi / 2)
+        if not state.backed and room_behind(sight.obstacles, ability.footprint):
+            return _back_up(replace(state, side=side, backed=True, aim=np.nan), sight, config.longest_back, config)
+        if other and abs(wanted) > np.pi / 2:
+            side = -side
+    if state.status not in (TURNING, LOOKING):
+        state = replace(state, anchor=(*state.anchor[:3], sight.time))
+    rate = float(np.clip(config.turn_gain * abs(wanted), config.min_turn_rate, ability.max_yaw_rate))
+    return replace(state, status=status, side=side, aim=np.nan), Command(omega_r=side * rate)
+
+
+def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision:
+    """The histogram refuses what is remembered as passable or was not seen: after a while it is marked."""
+    since = state.refused_since if np.isfinite(state.refused_since) else sight.time
+    state = replace(state, refused_since=since)
+    if sight.time - since < config.patience:
+        return _rest(replace(state, status=LOOKING), sight)
+    ahead = 0.5 * ability.footprint[0] + 0.3
+    heading = sight.pose[2] + wanted
+    end = sight.pose[:2] + config.near * np.array([np.cos(heading), np.sin(heading)])
+    all_seen = sight.field is not None and sight.field.line(sight.pose[:2], end)[2]
+    state = _mark(state, sight, heading, ahead, ability, ALWAYS if all_seen else IF_UNSEEN)
+    return _rest(replace(state, refused_since=np.nan, status=LOOKING), sight)
+
+
+def _mark(state: VfhState, sight: Sight, heading: float, ahead: float, ability: Ability, kind: float) -> VfhState:
+    x, y = sight.pose[:2] + ahead * np.array([np.cos(heading), np.sin(heading)])
+    mark = (float(x), float(y), max(0.5 * min(ability.footprint), 0.15), kind)
+    return replace(state, marks=(*state.marks, mark)[-_MOST_MARKS:], turned=0.0, held=_NOWHERE)
+
+
+def _rest(state: VfhState, sight: Sight) -> Decision:
+    """Stands still; that is not being stuck."""
+    return replace(state, anchor=(*state.anchor[:3], sight.time), aim=np.nan), Command()
