@@ -87,6 +87,11 @@ class Mission:
         if not existing.is_dir() or not os.access(existing, os.W_OK):
             raise InputError("not a folder that can be written", where=f"--out {options.out}")
 
+    @property
+    def wall_time(self) -> float:
+        """How long the run took [s]."""
+        return self._wall_time
+
     def path(self, name: str) -> Path:
         """Path of a product in the mission's folder, which is made at the first call."""
         try:
@@ -144,6 +149,15 @@ class Mission:
                 ending = Ending("failed", f"after {context.get_time():.1f} s: {_in_words(error)}")
         self._wall_time, self._sim_time = time.perf_counter() - start, context.get_time()
         return ending or Ending("done", f"the time budget of {duration:g} s is over")
+
+    @contextmanager
+    def timed(self) -> Iterator[None]:
+        """While inside, the time counts as the mission's, for one that is not a single simulation."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._wall_time = time.perf_counter() - start
 
     def finish(self, ending: Ending, *products: Callable[[], None]) -> int:
         """Writes the products, `scenario.yaml` and `metrics.json`, prints a summary, and returns the exit code.
