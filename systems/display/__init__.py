@@ -3,6 +3,7 @@
 from .colours import DOSE_RATE, HEIGHT, INTENSITY, NIR, TEMPERATURE, ColourScale, for_meshcat, height_colours
 from .keyframe_display import KeyframeDisplay, KeyframeDisplayConfig, drake_cloud
 from .map_display import draw_attribute, draw_classes, draw_dose, draw_regions, draw_source
+from .route_display import ROUTE_COLOURS, RouteDisplay, RouteDisplayConfig, draw_routes
 from .semantic_display import (
     POINT_LAYERS,
     SemanticDisplay,
@@ -11,6 +12,7 @@ from .semantic_display import (
     draw_last_keyframe,
     layer_path,
 )
+from .snake_display import SnakeDisplay, SnakeDisplayConfig
 
 __all__ = [
     "DOSE_RATE",
@@ -18,12 +20,17 @@ __all__ = [
     "INTENSITY",
     "NIR",
     "POINT_LAYERS",
+    "ROUTE_COLOURS",
     "TEMPERATURE",
     "ColourScale",
     "KeyframeDisplay",
     "KeyframeDisplayConfig",
+    "RouteDisplay",
+    "RouteDisplayConfig",
     "SemanticDisplay",
     "SemanticDisplayConfig",
+    "SnakeDisplay",
+    "SnakeDisplayConfig",
     "drake_cloud",
     "draw_attribute",
     "draw_classes",
@@ -31,6 +38,7 @@ __all__ = [
     "draw_keyframe",
     "draw_last_keyframe",
     "draw_regions",
+    "draw_routes",
     "draw_source",
     "for_meshcat",
     "height_colours",

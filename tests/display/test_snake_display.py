@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+from naraha.systems.display.snake_display import (
+    MODE_COLOURS,
+    SnakeDisplayConfig,
+    errors_in_words,
+    force_colour,
+)
+from naraha.systems.snake.actuator_faults import ActuatorReport
+from naraha.systems.snake.posture import half_poses, tilt_rotation
+from naraha.systems.snake.snake_pilot import MOVES
+from pydrake.geometry import Meshcat
+from pydrake.math import RollPitchYaw
+from pydrake.systems.analysis import Simulator
+
+from tests.snake.stuck_snake import moving_snake, settled
+
+
+def test_the_posture_is_that_of_the_simulated_robot_but_for_place_and_yaw():
+    _, run = settled(5, 1)
+    poses = half_poses(run.read("station.joint_angles"), run.read("station.rpy"), 0.09)
+    truth = run.read("station.cheat.body_poses")
+    names = [f"{half}{i}" for i in range(10) for half in "FR"]
+    plant = run.diagram.GetSubsystemByName("station").GetSubsystemByName("plant")
+    true = np.array([truth[int(plant.GetBodyByName(name).index())].translation() for name in names])
+    ours = np.array([X.translation() for X in poses])
+    np.testing.assert_allclose(
+        ours[:, 2] - ours[0, 2], true[:, 2] - true[0, 2], atol=0.04
+    )  # its IMU is off by a degree
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(ours, axis=0), axis=1), np.linalg.norm(np.diff(true, axis=0), axis=1), atol=1e-3
+    )
+
+
+def test_tilt_alone_is_roll_and_pitch_without_yaw():
+    rpy = np.array([0.2, -0.3, 1.4])
+    np.testing.assert_allclose(tilt_rotation(rpy), RollPitchYaw(0.2, -0.3, 0.0).ToRotationMatrix().matrix())
+
+
+def test_colours_of_forces_and_modes_cannot_be_mistaken():
+    assert force_colour(0.0, 30.0).b() > force_colour(30.0, 30.0).b()
+    assert force_colour(30.0, 30.0).g() == 0
+    assert set(MODE_COLOURS) == set(MOVES)
+    colours = {(c.r(), c.g(), c.b()) for c in MODE_COLOURS.values()}
+    assert len(colours) == len(MOVES)
+
+
+def test_errors_are_named_with_their_joints():
+    assert errors_in_words(ActuatorReport(("", "hot", ""), (20.0, 90.0, 20.0))) == "y0: hot"
+    assert errors_in_words(ActuatorReport()) == ""
+
+
+@pytest.fixture(scope="module")
+def shown():
+    meshcat = Meshcat()
+    root = moving_snake(3, meshcat)
+    simulator = Simulator(root)
+    simulator.AdvanceTo(0.5)
+    return meshcat
+
+
+def test_body_pads_ranges_and_margin_are_drawn(shown):
+    for path in ("half/0/body", "half/19/range/0", "half/18/wheel/1", "margin", "mode", "target", "stuck", "segment/1"):
+        assert shown.HasPath(f"snake/{path}"), path
+
+
+def test_the_mode_is_a_button_in_large_letters(shown):
+    assert shown.GetButtonClicks("MODE: WHEELS") == 0
+    with pytest.raises(RuntimeError):
+        shown.GetButtonClicks("MODE: HOLD")
+
+
+def test_the_configuration_has_the_shipped_robot_in_it():
+    assert SnakeDisplayConfig().half_length == pytest.approx(0.09)
