@@ -1,0 +1,217 @@
+import itertools
+
+import numpy as np
+import pytest
+from naraha.models.snake.snake_model import SnakeModel
+from naraha.systems.errors import ConfigError
+from naraha.systems.snake import (
+    ChainKinematics,
+    NullSpaceConfig,
+    RecoveryCommand,
+    idle_run,
+    middle_in_head,
+    plan_motion,
+    preset,
+    start_run,
+    step_run,
+)
+
+from tests.snake.robot import snake_body
+
+MODEL = SnakeModel()
+BODY = snake_body(MODEL)
+L = MODEL.half_length
+STRAIGHT = np.zeros(19)
+
+
+def wavy(seed, size=0.3):
+    return size * np.random.default_rng(seed).standard_normal(19)
+
+
+def towards(angles, offset=(0.09, 0.0, 0.15), first=3, last=7, **options):
+    target = middle_in_head(angles, first, last, L) + offset
+    return RecoveryCommand(1, True, first, last, tuple(target), **options)
+
+
+def recover(angles, command=None, config=None, *, follow=0.5, dead=(), margin=np.inf, broken=None):
+    """Runs a recovery with joints that follow their commands by a share each tick; returns all runs."""
+    config = config or NullSpaceConfig()
+    runs = [start_run(idle_run(BODY), command or towards(angles), angles, BODY, config)]
+    measured = angles.copy()
+    while runs[-1].status.phase in ("moving", "settling") and len(runs) < 3000:
+        seen = measured.copy()
+        if broken is not None and len(runs) > 50:
+            seen[broken] = np.nan
+        runs.append(step_run(runs[-1], seen, margin, BODY, config))
+        step = follow * (np.nan_to_num(runs[-1].joints) - measured)
+        step[list(dead)] = 0.0
+        measured = measured + step
+    return runs
+
+
+def largest_error(runs):
+    return max(np.linalg.norm(run.status.control_error[:3]) for run in runs)
+
+
+def test_the_control_point_goes_to_the_next_pitch_joint_by_way_of_the_yaw_joint():
+    angles = wavy(0)
+    motion = plan_motion(angles, towards(angles), L)
+    chain = ChainKinematics(13, L)
+    joints = chain.positions(angles[6:])
+    np.testing.assert_allclose(motion.position[[0, 50, 100]], joints[[8, 7, 6]], atol=1e-9)
+    for end, joint in ((0, 9), (100, 7)):
+        R = ChainKinematics(joint, L).control_pose(angles[6 : 6 + joint])[0]
+        np.testing.assert_allclose(motion.rotation[end], R, atol=1e-4)
+
+
+def test_the_trailing_body_stays_on_the_line_on_which_it_lay():
+    angles = wavy(1)
+    motion = plan_motion(angles, towards(angles), L)
+    line = ChainKinematics(13, L).positions(angles[6:])
+    dense = np.vstack([a + np.linspace(0, 1, 50)[:, None] * (b - a) for a, b in itertools.pairwise(line)])
+    for i in (0, 30, 50, 80, 100):
+        tail = ChainKinematics(len(motion.trailing[i]), L, starts_with_yaw=True).positions(motion.trailing[i])
+        first = motion.position[i] - L * motion.rotation[i][:, 0]
+        axles = (first + tail @ motion.rotation[i].T)[1::2]
+        assert max(np.linalg.norm(dense - axle, axis=1).min() for axle in axles) < 0.02
+    np.testing.assert_allclose(motion.trailing[0], angles[15:], atol=1e-4)
+    np.testing.assert_allclose(motion.trailing[-1], angles[13:-2], atol=1e-4)
+
+
+def test_the_twist_is_the_derivative_of_the_way():
+    angles = wavy(2)
+    motion = plan_motion(angles, towards(angles), L)
+    a, b = motion.reference(0.3, 1.0), motion.reference(0.3 + 1e-6, 1.0)
+    np.testing.assert_allclose((b - a)[:3] / 1e-6, a[12:15], atol=1e-6)
+    spin = (b - a)[3:12].reshape(3, 3) / 1e-6 @ a[3:12].reshape(3, 3).T
+    np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], a[15:], atol=1e-5)
+
+
+def test_the_target_is_turned_from_the_head_into_the_segment():
+    angles = wavy(3)
+    command = towards(angles, offset=(0, 0, 0))
+    motion = plan_motion(angles, command, L)
+    np.testing.assert_allclose(motion.target, ChainKinematics(9, L).positions(angles[6:15])[4], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_control_point_keeps_to_its_way_and_arrives(seed):
+    runs = recover(wavy(seed))
+    assert runs[-1].status.phase == "done", runs[-1].status.reason
+    assert largest_error(runs) < 2e-3
+    assert min(run.status.joint_margin for run in runs[1:]) > 0
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 4), (3, 6), (3, 7), (2, 8), (5, 9)])
+def test_a_straight_body_is_bent_towards_the_target(first, last):
+    runs = recover(STRAIGHT, towards(STRAIGHT, first=first, last=last))
+    assert runs[-1].status.phase == "done", runs[-1].status.reason
+    assert runs[-1].status.distance < 0.8 * runs[1].status.distance
+    assert largest_error(runs) < 5e-3
+
+
+def test_joints_in_front_of_the_segment_and_their_wheels_hold():
+    angles = wavy(4)
+    for run in recover(angles):
+        np.testing.assert_array_equal(run.joints[:6], angles[:6])
+        np.testing.assert_array_equal(run.wheels[:4], 0.0)
+
+
+def test_the_wheels_behind_roll_up_by_one_unit():
+    runs = recover(STRAIGHT)
+    rolled = sum(run.wheels for run in runs) * NullSpaceConfig().period * MODEL.wheel_radius
+    np.testing.assert_allclose(rolled[8:], 2 * L, atol=2e-3)
+
+
+def test_without_the_null_space_a_straight_body_does_not_move():
+    runs = recover(STRAIGHT, config=NullSpaceConfig(alpha=0.0))
+    assert runs[-1].status.phase == "stopped"
+    assert "from its place" in runs[-1].status.reason
+
+
+def test_the_law_of_the_paper_says_that_a_straight_pose_is_singular():
+    status = recover(STRAIGHT, config=preset("paper"))[-1].status
+    assert (status.phase, "singular" in status.reason) == ("stopped", True)
+
+
+def test_a_start_beyond_the_range_comes_back_into_it():
+    angles = STRAIGHT.copy()
+    angles[8], angles[9] = 1.62, 1.35
+    runs = recover(angles)
+    assert runs[1].status.joint_margin < 0
+    assert runs[-1].status.phase == "done", runs[-1].status.reason
+    assert runs[-1].status.joint_margin > 0
+
+
+def test_a_target_out_of_reach_is_approached_and_the_answer_says_so():
+    status = recover(STRAIGHT, towards(STRAIGHT, offset=(0.0, 0.0, 2.0)))[-1].status
+    assert status.phase == "done"
+    assert "out of reach" in status.reason
+
+
+@pytest.mark.parametrize("joint", [6, 8, 10, 17])
+def test_a_dead_actuator_stops_the_recovery_and_is_named(joint):
+    angles = wavy(5)
+    status = recover(angles, dead=[joint])[-1].status
+    assert status.phase == "stopped", status.reason
+    assert f"{'py'[joint % 2]}{joint // 2}" in status.reason
+
+
+def test_a_missing_angle_stops_the_recovery_and_is_named():
+    runs = recover(STRAIGHT, broken=9)
+    assert runs[-1].status.phase == "stopped"
+    assert "y4" in runs[-1].status.reason
+    assert all(np.isfinite(run.joints).all() for run in runs)
+
+
+def test_it_refuses_to_tip_over():
+    runs = recover(STRAIGHT, margin=0.005)
+    assert runs[-1].status.phase == "stopped"
+    assert "tip over" in runs[-1].status.reason
+    np.testing.assert_allclose(runs[-1].joints, STRAIGHT, atol=1e-9)
+
+
+def test_near_tipping_it_goes_slower():
+    assert len(recover(STRAIGHT, margin=0.02)) > 1.3 * len(recover(STRAIGHT))
+
+
+def test_a_motion_that_would_be_too_fast_takes_longer():
+    run = start_run(idle_run(BODY), towards(STRAIGHT, duration=0.1), STRAIGHT, BODY, NullSpaceConfig())
+    assert run.duration > 1.5
+
+
+def test_stop_ends_it_where_it_is():
+    config = NullSpaceConfig()
+    run = start_run(idle_run(BODY), towards(STRAIGHT), STRAIGHT, BODY, config)
+    for _ in range(100):
+        run = step_run(run, np.nan_to_num(run.joints), np.inf, BODY, config)
+    stopped = start_run(run, RecoveryCommand(2, False), run.joints, BODY, config)
+    assert stopped.status.phase == "stopped"
+    np.testing.assert_array_equal(stopped.joints, run.joints)
+    np.testing.assert_array_equal(stopped.wheels, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (RecoveryCommand(1, True, 7, 12), "outside the body"),
+        (RecoveryCommand(1, True, -1, 5), "outside the body"),
+        (RecoveryCommand(1, True, 7, 3), "not behind the reference"),
+        (RecoveryCommand(1, True, 3, 5), "too short"),
+        (RecoveryCommand(1, True, 3, 7, (0.0, np.nan, 0.0)), "target"),
+        (RecoveryCommand(1, True, 3, 7, duration=-1.0), "duration"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_reason(command, words):
+    run = start_run(idle_run(BODY), command, STRAIGHT, BODY, NullSpaceConfig())
+    assert run.status.phase == "refused"
+    assert words in run.status.reason
+    with pytest.raises(ConfigError, match=words):
+        plan_motion(STRAIGHT, command, L)
+
+
+def test_joints_without_angles_at_the_start_are_refused():
+    angles = STRAIGHT.copy()
+    angles[4] = np.nan
+    status = start_run(idle_run(BODY), RecoveryCommand(1, True, 3, 7), angles, BODY, NullSpaceConfig()).status
+    assert (status.phase, "p2" in status.reason) == ("refused", True)
