@@ -64,6 +64,95 @@ def survey(
     raise typer.Exit(run(loaded, options))
 
 
+@app.command()
+def traverse(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "e2827",
+    robot: Annotated[str | None, typer.Option("--robot", help="pioneer, amphibious or crawler.")] = None,
+    world: Annotated[str | None, typer.Option("--world", help="Another name for the scenario.")] = None,
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Drive to a goal over rough ground, over or around what the robot can."""
+    from .mission import Options
+    from .traverse import load_traverse
+    from .traverse import traverse as run
+
+    name = world or scenario
+    # A scenario that a mission has left says which robot; the others leave it open.
+    robot = robot or (None if Path(name).is_file() else "pioneer")
+    options = Options(out=out or Path("out/traverse"), meshcat=meshcat, realtime_rate=realtime_rate)
+    raise typer.Exit(run(load_traverse(name, robot, settings or (), seed), options))
+
+
+@app.command()
+def calibrate(
+    robot: Annotated[str, typer.Option("--robot", help="pioneer, amphibious or crawler.")] = "pioneer",
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+) -> None:
+    """Drive a robot over ever harder ground, and write down what it can do."""
+    from .calibrate import calibrate as run
+    from .calibrate import load_calibrate
+    from .mission import Options
+
+    raise typer.Exit(run(load_calibrate(robot, settings or (), seed), Options(out=out or Path("out/calibrate"))))
+
+
+@app.command()
+def recover(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stuck",
+    stuck: Annotated[int | None, typer.Option("--stuck", min=1, max=5, help="Which of the five ways.")] = None,
+    operator: Annotated[str | None, typer.Option("--operator", help="Who chooses the move: auto or prompt.")] = None,
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Let the snake notice that it is stuck, and free itself."""
+    from .mission import Options
+    from .recover import RecoverScenario
+    from .recover import recover as run
+    from .scenario import load_scenario
+
+    given = [] if stuck is None else [f"stuck={stuck}"]
+    given += [] if operator is None else [f"operator={operator}"]
+    options = Options(out=out or Path("out/recover"), meshcat=meshcat, realtime_rate=realtime_rate)
+    raise typer.Exit(run(load_scenario(RecoverScenario, scenario, [*given, *(settings or ())], seed), options))
+
+
+@app.command()
+def learn(
+    map_file: Annotated[Path, typer.Argument(metavar="MAP", help="A semantic map, such as survey_map.ply.")],
+    start: Annotated[str | None, typer.Option("--start", metavar="X,Y,DEG", help="Where the robot stands.")] = None,
+    goal: Annotated[str | None, typer.Option("--goal", metavar="X,Y", help="Where it is to go.")] = None,
+    scenario: Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")] = "learn",
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+) -> None:
+    """Learn routes on a semantic map, and write them and the policy as CSV."""
+    from .learn import learn_routes, load_learn
+    from .mission import Options
+
+    loaded = load_learn(scenario, _numbers("--start", start), _numbers("--goal", goal), settings or (), seed)
+    raise typer.Exit(learn_routes(map_file, loaded, Options(out=out or Path("out/learn"))))
+
+
+def _numbers(option: str, text: str | None) -> list[float] | None:
+    """The numbers of a list with commas."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError("not numbers", where=option, value=text, valid="numbers with commas") from None
+
+
 @app.command("map")
 def map_scans(
     scans: Annotated[Path, typer.Argument(help="A folder of .ply, .pcd, .bin or .npz scans, or one of them.")],

@@ -13,13 +13,26 @@ from naraha.diagrams.extrinsics import ExtrinsicsScenario, make_extrinsics
 from naraha.diagrams.mapping import MapScenario, make_mapping
 from naraha.diagrams.merging import MergeScenario, make_merging
 from naraha.diagrams.scenario import load_scenario
+from naraha.diagrams.station import RobotConfig, StationConfig, make_station
 from naraha.diagrams.survey import SurveyScenario, make_survey
 from naraha.systems.changes import make_seen_space, write_seen
 from naraha.systems.changes.sight import Rays
-from naraha.systems.sensing import write_cloud
+from naraha.systems.clouds import LocalCloud
+from naraha.systems.drive import TiltConfig
+from naraha.systems.routes import RouteLearner, RouteLearnerConfig
+from naraha.systems.sensing import LidarConfig, Scan, write_cloud
 from open3d.t.geometry import PointCloud
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, LeafSystem, System
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, System
+from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
+
+from tests.routes.maps import water_map
+from tests.routes.route_examples import ROUTE_EXAMPLES
+from tests.snake.robot import controlled_snake
+from tests.snake.stuck_snake import moving_snake
+from tests.traversability.unicycle_world import build as build_box_world
 
 Example = Callable[[int], tuple[System, LeafSystem]]
 
@@ -79,7 +92,54 @@ def in_extrinsics(name: str, seed: int) -> tuple[System, LeafSystem]:
     return find(make_extrinsics(load_scenario(ExtrinsicsScenario, "extrinsics", seed=seed)), name)
 
 
+def learning_a_route(seed: int) -> tuple[System, LeafSystem]:
+    """A learner in a hall with water between start and goal; it is not done after the first updates."""
+    grid, start, goal = water_map(seed)
+    learner = RouteLearner(RouteLearnerConfig(steps_per_update=2000, seed=seed))
+    builder = DiagramBuilder()
+    builder.AddSystem(learner)
+    for name, value in (("start", start), ("goal", np.array(goal))):
+        builder.Connect(builder.AddSystem(ConstantVectorSource(value)).get_output_port(), learner.GetInputPort(name))
+    source = builder.AddSystem(ConstantValueSource(AbstractValue.Make(grid)))
+    builder.Connect(source.get_output_port(), learner.GetInputPort("route_grid"))
+    return builder.Build(), learner
+
+
+def remembering_scans(seed: int) -> tuple[System, LeafSystem]:
+    """A local cloud with one scan of a plain before it."""
+    points = np.random.default_rng(seed).uniform([-3, -3, -0.5], [3, 3, -0.45], (500, 3)).astype(np.float32)
+    local_cloud = LocalCloud()
+    builder = DiagramBuilder()
+    builder.AddSystem(local_cloud)
+    scan = Scan(PointCloud(points), 0.0, 0.0, 0)
+    for name, value in (("scan_S", scan), ("X_OB", RigidTransform()), ("X_BS", RigidTransform([0.1, 0, 0.5]))):
+        source = builder.AddSystem(ConstantValueSource(AbstractValue.Make(value)))
+        builder.Connect(source.get_output_port(), local_cloud.GetInputPort(name))
+    return builder.Build(), local_cloud
+
+
+def in_box_world(name: str) -> Example:
+    """A unicycle that drives around a box, with noise on its scans."""
+    return lambda seed: find(build_box_world([(1.5, -0.3, 1.8, 0.3)], (4.0, 0.0), noise=0.005, seed=seed), name)
+
+
+def on_pioneer(name: str) -> Example:
+    """A Pioneer that drives a curve while its LiDAR tilts."""
+
+    def example(seed: int) -> tuple[System, LeafSystem]:
+        config = StationConfig(robot=RobotConfig(model="pioneer"), lidar=LidarConfig(pattern="utm30lx"))
+        config.tilt = TiltConfig()
+        builder = DiagramBuilder()
+        station = builder.AddSystem(make_station(config, seed=seed))
+        twist = builder.AddSystem(ConstantVectorSource([0.3, 0.2]))
+        builder.Connect(twist.get_output_port(), station.GetInputPort("twist_command"))
+        return find(builder.Build(), name)
+
+    return example
+
+
 EXAMPLES: dict[str, Example] = {
+    **ROUTE_EXAMPLES,
     **{
         name: in_survey(name)
         for name in (
@@ -113,9 +173,39 @@ EXAMPLES: dict[str, Example] = {
         )
     },
     "ExtrinsicCalibrator": lambda seed: in_extrinsics("ExtrinsicCalibrator", seed),
+    "LocalCloud": remembering_scans,
     "KeyframeDisplay": lambda seed: in_mapping("KeyframeDisplay", seed, Meshcat()),
+    "RouteLearner": learning_a_route,
     "ScanReplay": lambda seed: in_mapping("ScanReplay", seed),
     "SemanticDisplay": in_survey("SemanticDisplay", meshcat=True),
+    **{name: on_pioneer(name) for name in ("TiltEncoder", "TiltSweep", "WheelDriver")},
+    **{
+        name: lambda seed, name=name: find(moving_snake(seed), name)  # type: ignore[misc]
+        for name in (
+            "ActuatorFaults",
+            "ContactPads",
+            "InertialSpeed",
+            "RangeSensors",
+            "RecoveryPlanner",
+            "SnakePilot",
+            "StuckDetector",
+            "TipOverMargin",
+        )
+    },
+    "SnakeDisplay": lambda seed: find(moving_snake(seed, Meshcat()), "SnakeDisplay"),
+    "NullSpaceRecovery": lambda seed: find(controlled_snake(), "NullSpaceRecovery"),
+    "ShiftControl": lambda seed: find(controlled_snake(), "ShiftControl"),
+    "SnakeDrives": lambda seed: find(controlled_snake(), "SnakeDrives"),
     "SurveyUpdate": lambda seed: in_update("SurveyUpdate", seed),
+    **{
+        name: in_box_world(name)
+        for name in (
+            "FuzzyTraversability",
+            "FuzzyVfhController",
+            "PolarRiskHistogram",
+            "RiskMemory",
+            "TerrainFeatures",
+        )
+    },
     "ViewpointMerger": lambda seed: in_merging("ViewpointMerger", seed),
 }

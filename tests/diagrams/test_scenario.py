@@ -1,11 +1,15 @@
 from dataclasses import dataclass, field
 
 import pytest
+from naraha.diagrams.calibrate import CalibrateScenario
 from naraha.diagrams.extrinsics import ExtrinsicsScenario
+from naraha.diagrams.learn import LearnScenario
 from naraha.diagrams.mapping import MapScenario
 from naraha.diagrams.merging import MergeScenario
+from naraha.diagrams.recover import RecoverScenario
 from naraha.diagrams.scenario import dump_scenario, load_scenario, shipped_scenarios
 from naraha.diagrams.survey import SurveyScenario
+from naraha.diagrams.traverse import TraverseScenario
 from naraha.systems.config import quantity
 from naraha.systems.errors import InputError
 from pydrake.common.yaml import yaml_dump_typed
@@ -83,6 +87,11 @@ SCHEMAS = {
     "recorded": MapScenario,
     "recorded_gicp": MapScenario,
     "viewpoints": MergeScenario,
+    "calibrate": CalibrateScenario,
+    "e2827": TraverseScenario,
+    "real_like": TraverseScenario,
+    "learn": LearnScenario,
+    "stuck": RecoverScenario,
 }
 
 
@@ -109,3 +118,15 @@ def test_what_was_switched_off_stays_off(tmp_path):
     assert again.lidar is None
     assert again.fusion.water.threshold is None
     assert dump_scenario(again) == dump_scenario(scenario)
+
+
+def test_the_file_of_a_robot_holds_where_the_scenario_says_nothing(tmp_path):
+    base = tmp_path / "robot.yaml"
+    base.write_text("spare: {radius: 0.7}\nname: base\nlegs: 4\n")
+    path = tmp_path / "cart.yaml"
+    path.write_text("name: mine\n")
+    cart = load_scenario(Cart, str(path), ["labels.a.radius=2"], base=base)
+    assert cart == Cart(name="mine", spare=Wheel(radius=0.7), labels={"a": Wheel(radius=2.0)})
+    base.write_text("spare: {radus: 0.7}\n")
+    with pytest.raises(InputError, match=r"robot\.yaml: spare\.radus: unknown key"):
+        load_scenario(Cart, str(path), base=base)
