@@ -174,7 +174,7 @@ def test_ctrl_c_stops_cleanly_and_keeps_what_was_measured(tmp_path):
 BAD_SURVEYS = {
     "unknown scenario": (["nowhere"], "no such scenario or file"),
     "unknown key": (["--set", "lidar.rnge=3"], "lidar.rnge: unknown key"),
-    "unknown robot": (["--set", "robot.model=tank"], "unknown robot, got 'tank' (valid: crawler"),
+    "unknown robot": (["--set", "robot.model=tank"], "unknown robot, got 'tank' (valid: amphibious, crawler"),
     "unknown world": (["--set", "world.name=moon"], "unknown world, got 'moon'"),
     "negative period": (["--set", "slam.period=-0.1"], "slam.period: out of range, got -0.1"),
     "zero time step": (["--set", "plant.time_step=0"], "plant.time_step: out of range"),
