@@ -99,7 +99,7 @@ def test_the_search_ends_between_what_passes_and_what_does_not():
     def passes(level, seed):
         return PASSED if level < 0.3 - 0.01 * seed else SLIPPED
 
-    found = find_interval(passes, 1.0, TrialConfig(drives=3, precision=0.01))
+    found = find_interval(passes, 1.0, TrialConfig(drives=3, precision=0.01, halvings=12))
     # The third drive is the first to fail.
     assert found.passes < 0.28 <= found.fails
     assert found.fails - found.passes <= 0.01 * found.fails
