@@ -30,7 +30,7 @@ class ObstacleDistance:
         tall = {
             solid.name
             for solid in world.solids
-            if solid.collides and world.surfaces[solid.surface].label not in _DRIVABLE and _top(solid) > _TALL
+            if solid.collides and world.surfaces[solid.surface].label not in _DRIVABLE and top_of(solid) > _TALL
         }
         inspector = self._scene_graph.model_inspector()
         # A world's collision geometry is named after its solid.
@@ -58,7 +58,7 @@ class ObstacleDistance:
         return nearest
 
 
-def _top(solid: Solid) -> float:
+def top_of(solid: Solid) -> float:
     """Height of the highest point of a solid [m]."""
     if solid.sphere:
         return solid.xyz[2] + solid.sphere[0]

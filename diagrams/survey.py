@@ -22,12 +22,13 @@ from .slam import add_maps, add_matching, slam_metrics, write_occupancy
 from .station import X_B, make_station
 from .survey_drawing import draw_survey
 from .survey_log import SurveyLog
+from .survey_loop import add_loop
 from .survey_scenario import SurveyScenario
 from .wiring import connect, export_outputs
 
 
 def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Diagram:
-    """Builds the survey: station → odometry → SLAM → fusion → maps → detectors, and tour → tracking → station.
+    """Builds the survey: station → odometry → SLAM → fusion → maps → detectors, and tour or loop → tracking → station.
 
     The map frame M is the world frame W in so far as the robot's start is known: odometry and matching begin at the
     pose that the scenario states. Nothing else of the truth reaches them.
@@ -41,7 +42,6 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     X_BS = X_B(station, "lidar")
     odometry = builder.AddNamedSystem("odometry", Odometry6Dof(scenario.odometry, X_OB0=X_WB0))
     slam = add_matching(builder, scenario, station, odometry=odometry, X_BS=X_BS, X_MB0=X_WB0)
-    tour = builder.AddNamedSystem("tour", WaypointTour(scenario.tour))
     tracking = builder.AddNamedSystem("tracking", KanayamaTracking(scenario.tracking))
 
     connect(builder, station, "track_displacements", odometry)
@@ -60,13 +60,25 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
         add_detectors(
             builder, fusion, scenario, station=station, slam=slam, survey_map=survey_map, map_source=map_source
         )
-    connect(builder, slam, "X_MB", tour)
     connect(builder, slam, "X_MB", tracking)
-    connect(builder, tour, "reference_pose", tracking)
-    connect(builder, tour, "reference_twist", tracking)
-    connect(builder, tracking, "twist_command", station)
-    if station.HasInputPort("flipper_preset"):
-        connect(builder, tour, "flipper_preset", station)
+    if scenario.loop is not None:
+        if not builder.HasSubsystemNamed("semantic_map"):
+            raise ConfigError(
+                "a loop needs a semantic map", key="loop", valid="null, or a scenario with fusion and head"
+            )
+        add_loop(
+            builder,
+            scenario.loop,
+            model=scenario.robot.model,
+            station=station,
+            slam=slam,
+            survey_map=survey_map,
+            semantic_map=builder.GetSubsystemByName("semantic_map"),
+            tracking=tracking,
+            meshcat=meshcat,
+        )
+    else:
+        add_tour(builder, scenario, station=station, slam=slam, tracking=tracking)
     if meshcat is not None:
         display = builder.AddNamedSystem("display", SemanticDisplay(scenario.display, meshcat))
         connect(builder, mapped, "keyframe", display)
@@ -74,6 +86,19 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
     diagram = builder.Build()
     diagram.set_name("survey")
     return diagram
+
+
+def add_tour(
+    builder: DiagramBuilder, scenario: SurveyScenario, *, station: Diagram, slam: System, tracking: System
+) -> None:
+    """Adds `tour`, which leads `tracking` along the waypoints of the scenario."""
+    tour = builder.AddNamedSystem("tour", WaypointTour(scenario.tour))
+    connect(builder, slam, "X_MB", tour)
+    connect(builder, tour, "reference_pose", tracking)
+    connect(builder, tour, "reference_twist", tracking)
+    connect(builder, tracking, "twist_command", station)
+    if station.HasInputPort("flipper_preset"):
+        connect(builder, tour, "flipper_preset", station)
 
 
 def check_flippers(scenario: SurveyScenario) -> None:

@@ -14,9 +14,11 @@ from pydrake.systems.framework import Context, Diagram
 
 from .change_metrics import View, change_metrics
 from .mission import Ending
+from .robot_files import robot_ability
 from .scenario import load_scenario
 from .semantic_metrics import dose_metrics, intersection_over_union, true_classes, water_metrics
 from .station import TRANSPARENT, X_B, station_world
+from .survey_loop import TouchCount, coverage, loop_metrics
 from .survey_scenario import SurveyScenario
 from .trajectory import Trajectory
 from .wiring import DiagramReader, subsystem
@@ -37,28 +39,52 @@ class SurveyLog(DiagramReader):
         self._sources = {name: port for name, port in sources.items() if diagram.HasOutputPort(port)}
         self.trajectories = {name: Trajectory() for name in self._sources}
         self._last_waypoint = (0.0, 0.0)
+        self._touches: TouchCount | None = None
+        if scenario.loop is not None:
+            self._footprint = robot_ability(scenario.robot.model, scenario.loop.ability).footprint
+            self._touches = TouchCount(diagram, self._world(), self._footprint)
 
     def step(self, context: Context) -> Ending | None:
         """Appends the poses of now, and says whether the survey is over."""
         self.context, time = context, context.get_time()
         for name, port in self._sources.items():
             self.trajectories[name].append(time, self.read(port))
-        reached = float(self.read("tour.waypoints_reached")[0])
+        reached = self._reached()
         if reached > self._last_waypoint[0]:
             self._last_waypoint = (reached, time)
         rpy = self.read("station.rpy")
-        count = len(self.scenario.tour.waypoints)
-        if self.read("tour.done")[0] > 0:
-            return Ending("done", f"all {count} waypoints are reached")
+        if self._touches is not None:
+            self._touches.step(context, self.read("station.cheat.X_WB"))
+            if self.read("loop.done")[0] > 0:
+                state = self.read("loop.survey")
+                return Ending("done" if state.returned else "failed", state.reason)
+        elif self.read("tour.done")[0] > 0:
+            return Ending("done", f"all {len(self.scenario.tour.waypoints)} waypoints are reached")
         if np.cos(rpy[0]) * np.cos(rpy[1]) < np.cos(self.scenario.tip_over_angle):
             return Ending("failed", f"the robot tipped over at {time:.1f} s")
         if time - self._last_waypoint[1] > self.scenario.patience:
-            return Ending("failed", f"stuck on the way to waypoint {int(reached) + 1} of {count} since {time:.0f} s")
+            return Ending("failed", f"stuck on the way to {self._goal_in_words()} since {time:.0f} s")
         return None
+
+    def _reached(self) -> float:
+        """Rises with every waypoint, or with every leg and look of a survey that finds its own way."""
+        if self._touches is None:
+            return float(self.read("tour.waypoints_reached")[0])
+        state = self.read("loop.survey")
+        return float(state.legs + len(state.views))
+
+    def _goal_in_words(self) -> str:
+        if self._touches is None:
+            return f"waypoint {int(self._last_waypoint[0]) + 1} of {len(self.scenario.tour.waypoints)}"
+        x, y = self.read("loop.goal")
+        return f"({x:.1f}, {y:.1f}) m, in the phase '{self.read('loop.phase')}'"
 
     def status_line(self, context: Context) -> str:
         health = self.read("slam.health")
-        return f"waypoint {int(self.read('tour.waypoints_reached')[0]) + 1}, {health.scans_used} keyframes"
+        where = f"waypoint {int(self._reached()) + 1}"
+        if self._touches is not None:
+            where = f"{self.read('loop.phase')}, leg {self.read('loop.survey').legs + 1}"
+        return f"{where}, {health.scans_used} keyframes"
 
     @property
     def semantic(self) -> bool:
@@ -104,6 +130,11 @@ class SurveyLog(DiagramReader):
             "keyframes": len(keyframes),
             "scans_skipped": health.scans_skipped,
         }
+        if self._touches is not None:
+            start = np.array(scenario.robot.start_xyz[:2])
+            del metrics["waypoints"], metrics["waypoints_reached"]
+            metrics |= loop_metrics(self.read("loop.survey"), self._touches)
+            metrics["coverage"] = coverage(self._world(), start, self._footprint[1], cloud_points(self.map_M()))
         voxel = scenario.survey_map.voxel_size
         times = [keyframe.time for keyframe in keyframes]
         true_map = rebuild_map(keyframes, [truth.at(t) for t in times], voxel)

@@ -12,6 +12,7 @@ from .fusion import FusionConfig
 from .recording import RecordingConfig
 from .slam import SlamStages
 from .station import StationConfig
+from .survey_loop import LoopStages
 
 
 @dataclass(kw_only=True)
@@ -33,6 +34,8 @@ class SurveyScenario(StationConfig, SlamStages):
     # Folder of an earlier survey of the same place, which this one brings up to date; none when empty.
     earlier: str = ""
     update: SurveyUpdateConfig = field(default_factory=SurveyUpdateConfig)
+    # The robot finds its own way instead of driving `tour`; needs `fusion` and `head`. Null drives the tour.
+    loop: LoopStages | None = None
     tour: TourConfig = field(default_factory=TourConfig)
     tracking: KanayamaConfig = field(default_factory=KanayamaConfig)
     display: SemanticDisplayConfig = field(default_factory=SemanticDisplayConfig)

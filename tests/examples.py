@@ -19,7 +19,7 @@ from naraha.systems.changes import make_seen_space, write_seen
 from naraha.systems.changes.sight import Rays
 from naraha.systems.clouds import LocalCloud
 from naraha.systems.drive import TiltConfig
-from naraha.systems.routes import RouteLearner, RouteLearnerConfig
+from naraha.systems.routes import LearningProgress, RouteLearner, RouteLearnerConfig, SurveyLoop, Voxels
 from naraha.systems.sensing import LidarConfig, Scan, write_cloud
 from open3d.t.geometry import PointCloud
 from pydrake.common.value import AbstractValue
@@ -29,7 +29,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, Syste
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tests.routes.maps import water_map
-from tests.routes.route_examples import ROUTE_EXAMPLES
+from tests.routes.route_examples import ROUTE_EXAMPLES, with_inputs
 from tests.snake.robot import controlled_snake
 from tests.snake.stuck_snake import moving_snake
 from tests.traversability.unicycle_world import build as build_box_world
@@ -105,6 +105,24 @@ def learning_a_route(seed: int) -> tuple[System, LeafSystem]:
     return builder.Build(), learner
 
 
+def looping(seed: int) -> tuple[System, LeafSystem]:
+    """A survey loop in a hall with water; nobody learns or drives for it."""
+    grid, start, _ = water_map(seed)
+    voxels = Voxels(np.zeros((0, 3), np.int64), np.zeros(0, np.uint8), 0.1)
+    return with_inputs(
+        SurveyLoop(),
+        route_grid=grid,
+        voxels=voxels,
+        X_MB=RigidTransform([*start[:2], 0.1]),
+        learning=LearningProgress(),
+        routes=(),
+        follower_status="idle",
+        follower_pose=np.zeros(3),
+        follower_twist=np.zeros(2),
+        choice=np.array([-1.0]),
+    )
+
+
 def remembering_scans(seed: int) -> tuple[System, LeafSystem]:
     """A local cloud with one scan of a plain before it."""
     points = np.random.default_rng(seed).uniform([-3, -3, -0.5], [3, 3, -0.45], (500, 3)).astype(np.float32)
@@ -176,6 +194,7 @@ EXAMPLES: dict[str, Example] = {
     "LocalCloud": remembering_scans,
     "KeyframeDisplay": lambda seed: in_mapping("KeyframeDisplay", seed, Meshcat()),
     "RouteLearner": learning_a_route,
+    "SurveyLoop": looping,
     "ScanReplay": lambda seed: in_mapping("ScanReplay", seed),
     "SemanticDisplay": in_survey("SemanticDisplay", meshcat=True),
     **{name: on_pioneer(name) for name in ("TiltEncoder", "TiltSweep", "WheelDriver")},

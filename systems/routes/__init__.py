@@ -3,6 +3,7 @@
 from .collision_boxes import add_boxes, merge_voxels
 from .distinct_routes import DistinctRoutes
 from .find_routes import blocked_at, find_routes, is_open
+from .frontiers import FrontierConfig, View, ViewGoal, find_goals, hiding_cells, seen_cells
 from .grid_route import GridRouteEnv, GridRouteVectorEnv, register_environments
 from .make_grid import make_route_grid
 from .motion_model import ACTIONS, HEADINGS, MotionModel, deterministic, from_outcomes, from_primitives, slipping
@@ -17,6 +18,8 @@ from .route_files import RouteFileError, read_routes, write_routes
 from .route_grid import DOSE, FENCE, FREE, HOT, KINDS, OCCUPIED, TERRAINS, UNKNOWN, WATER, RouteGrid, clearance_of
 from .route_learner import LearningProgress, RouteLearner, RouteLearnerConfig
 from .route_task import RewardConfig, RouteTask, paper_rewards
+from .survey_loop import SurveyLoop
+from .survey_steps import LoopState, SurveyLoopConfig
 from .value_iteration import Solution, expected_motions, expected_sum, optimality_gap, solve
 from .voxel_world import VoxelWorld
 from .voxels import Voxels, make_voxels
@@ -37,12 +40,14 @@ __all__ = [
     "UNKNOWN",
     "WATER",
     "DistinctRoutes",
+    "FrontierConfig",
     "GridRouteEnv",
     "GridRouteVectorEnv",
     "Learned",
     "Learning",
     "LearningConfig",
     "LearningProgress",
+    "LoopState",
     "MotionModel",
     "PolicyFileError",
     "RewardConfig",
@@ -57,6 +62,10 @@ __all__ = [
     "RoutesConfig",
     "SmoothingConfig",
     "Solution",
+    "SurveyLoop",
+    "SurveyLoopConfig",
+    "View",
+    "ViewGoal",
     "VoxelWorld",
     "VoxelWorldConfig",
     "Voxels",
@@ -68,9 +77,11 @@ __all__ = [
     "deterministic",
     "expected_motions",
     "expected_sum",
+    "find_goals",
     "find_routes",
     "from_outcomes",
     "from_primitives",
+    "hiding_cells",
     "is_open",
     "learn",
     "learn_many",
@@ -85,6 +96,7 @@ __all__ = [
     "register_environments",
     "reuse_values",
     "roll_out",
+    "seen_cells",
     "slipping",
     "smooth_path",
     "solve",
