@@ -19,6 +19,8 @@ _TO_AND_FRO = 1.5 * _FULL_TURN
 _ALIGNED = 0.15
 # [m] What it saw from a spot it has seen from all around as far as this.
 _AWAY = 0.5
+# [m] A way that is kept to is done with so near to its point: on it, no direction leads there any more.
+_THERE = 0.2
 # A robot keeps no more marks than this; the oldest goes first.
 _MOST_MARKS = 64
 
@@ -69,7 +71,8 @@ def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
     x, y, heading = (float(value) for value in sight.pose)
     if np.isfinite(state.heading):
         state = replace(state, turned=state.turned + abs(wrapped(heading - state.heading)))
-    if not np.hypot(x - state.spot[0], y - state.spot[1]) < _AWAY:
+    there = np.hypot(x - state.held[0], y - state.held[1]) < _THERE
+    if there or not np.hypot(x - state.spot[0], y - state.spot[1]) < _AWAY:
         state = replace(state, turned=0.0, spot=(x, y), held=_NOWHERE)
     moved = np.hypot(x - state.anchor[0], y - state.anchor[1])
     moved_or_turned = not (

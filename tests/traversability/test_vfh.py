@@ -335,6 +335,15 @@ def test_a_robot_whose_way_changes_whenever_it_faces_it_gets_away_all_the_same()
     assert np.hypot(*(xy - 4.0)) > 0.5
 
 
+def test_a_way_that_is_kept_to_is_let_go_at_its_point_though_that_is_near_where_it_turned():
+    field = field_of(np.full((80, 80), 17.0), (7.0, 4.0), (4.0, 4.0))
+    kept = VfhState(goal=(7.0, 4.0), held=(4.35, 4.0), spot=(4.0, 4.0), turned=10.0, heading=0.0)
+    for x, held in ((4.1, 4.35), (4.3, np.nan)):
+        state, _ = decide(kept, sight(goal=(7, 4), field=field, pose=(x, 4, 0)), pioneer(), CONFIG)
+        np.testing.assert_equal(state.held[0], held)
+    assert state.turned == 0
+
+
 def test_who_is_told_to_drive_and_does_not_move_backs_up_and_marks_what_is_ahead():
     state = VfhState()
     for n in range(60):
