@@ -176,7 +176,7 @@ def _stone(rng: np.random.Generator, unit: int, stuck: bool, friction: float | N
     # Higher, and the joints give way around the stone: then its own shape holds the robot, without any friction.
     rise = rng.uniform(0.006, 0.0095) if stuck else -rng.uniform(0.006, 0.015)
     radius, width = rng.uniform(0.06, 0.1), rng.uniform(0.09, 0.12)
-    mu = rng.uniform(0.6, 1.0) if friction is None else friction
+    mu = rng.uniform(0.8, 1.2) if friction is None else friction
     return _on_stone(rise, radius, width, rng.uniform(-0.06, 0.06), mu, unit, stuck, s)
 
 
