@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from naraha.models.worlds import Solid, World
-from naraha.models.worlds.e2827 import wedge
+from naraha.models.worlds.ramps import wedge
 from naraha.models.worlds.surfaces import CONCRETE_FLOOR
 
 # [m] Flat ground in front of the obstacle, which begins at x = 0, and the ground behind its edge.

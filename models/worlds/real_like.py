@@ -6,7 +6,7 @@ field, see `e2827`; beside it is flat ground.
 
 import numpy as np
 
-from .e2827 import LANE, RUN, SURFACES, ramp_lane, walled_floor
+from .ramps import LANE, RUN, SURFACES, ramp_lane, walled_floor
 from .world import World
 
 # x, y [m] and heading [rad] at the start; x, y [m] of the goal.

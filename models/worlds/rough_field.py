@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .e2827 import SURFACES, pillar, ridge, walled_floor, wedge
+from .ramps import SURFACES, pillar, ridge, walled_floor, wedge
 from .stair_hall import clearance
 from .world import Solid, World
 

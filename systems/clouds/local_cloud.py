@@ -15,6 +15,7 @@ from ..config import check_config
 from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
 from ..sensing import Scan, interpolate_pose
+from ..sensing.deskew import rotation_vector
 from .local_points import (
     WAY_OF_TURN,
     LocalCloudConfig,
@@ -151,7 +152,8 @@ def take_in(memory: _Memory, note: _Note, scan: Scan, config: LocalCloudConfig) 
     (X_OB0, X_BS0), (X_OB1, X_BS1) = (poses_at(notes, time) for time in (scan.start_time, scan.end_time))
     X_OS0, X_OS1 = X_OB0 @ X_BS0, X_OB1 @ X_BS1
     times, duration = scan.attribute("time"), scan.end_time - scan.start_time
-    if memory.last_index >= 0 and _swing(X_OB0, X_OB1) > config.max_swing_rate * duration:
+    roll, pitch, _ = rotation_vector(X_OB0[:3, :3].T @ X_OB1[:3, :3])
+    if memory.last_index >= 0 and math.hypot(roll, pitch) > config.max_swing_rate * duration:
         return replace(memory, last_index=scan.index)
     fraction = np.ones(len(scan.p_SP)) if times is None or duration <= 0 else times * (1 / duration)
     R, p = interpolate_pose(np.linalg.solve(X_OS0, X_OS1), np.linspace(0, 1, _INSTANTS))
@@ -183,12 +185,6 @@ def _between(X_A: np.ndarray, X_B: np.ndarray, share: np.ndarray) -> np.ndarray:
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R[0], p[0]
     return X_A @ X
-
-
-def _swing(X_OA: np.ndarray, X_OB: np.ndarray) -> float:
-    """Change of roll and pitch between two poses [rad]."""
-    R = X_OA[:3, :3].T @ X_OB[:3, :3]
-    return 0.5 * math.hypot(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0])
 
 
 def _way(X_OA: np.ndarray, X_OB: np.ndarray) -> float:

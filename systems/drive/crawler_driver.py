@@ -13,8 +13,9 @@ from ..config import check_config, quantity
 from ..sensing import TrackEncodersConfig
 from .flipper_driver import FlipperDriver, FlipperDriverConfig
 from .flipper_rule import FlipperRule, FlipperRuleConfig
+from .models import find_model
 from .track_driver import TrackDriverConfig
-from .tracks import add_tracks, connect_tracks, export_inputs, export_outputs, find_model
+from .tracks import add_tracks, connect_tracks, export_inputs, export_outputs
 
 
 @dataclass(kw_only=True)

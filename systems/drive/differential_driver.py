@@ -11,9 +11,10 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from ..config import check_config, quantity
 from ..sensing import TrackEncoders, TrackEncodersConfig
+from .models import find_model
 from .setpoints import add_setpoints
 from .tilt_unit import tilt_joints
-from .tracks import command_port, export_inputs, export_outputs, find_model
+from .tracks import command_port, export_inputs, export_outputs
 from .wheel_driver import WHEELS, WheelDriver, WheelDriverConfig
 
 

@@ -8,7 +8,7 @@ from pydrake.multibody.parsing import ModelInstanceInfo
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
-from ..errors import ConfigError
+from .models import find_model
 from .snake_drives import SnakeDrives, SnakeDrivesConfig
 
 
@@ -33,12 +33,7 @@ def ApplyDriverConfig(
     Raises:
         ConfigError: the plant has no such snake, or a value is out of range.
     """
-    if model_instance_name in models_from_directives:
-        model_instance = models_from_directives[model_instance_name].model_instance
-    elif sim_plant.HasModelInstanceNamed(model_instance_name):
-        model_instance = sim_plant.GetModelInstanceByName(model_instance_name)
-    else:
-        raise ConfigError("the plant has no such model", key="driver", value=model_instance_name)
+    model_instance = find_model(sim_plant, model_instance_name, models_from_directives)
     driver = builder.AddNamedSystem(
         f"{model_instance_name}.driver", SnakeDrives(driver_config, sim_plant, model_instance)
     )

@@ -11,10 +11,11 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from ..config import check_config, quantity
 from ..sensing import TrackEncodersConfig
+from .models import find_model
 from .setpoints import add_setpoints
 from .tilt_unit import tilt_joints
 from .track_driver import TrackDriverConfig
-from .tracks import add_tracks, connect_tracks, find_model
+from .tracks import add_tracks, connect_tracks
 
 
 @dataclass(kw_only=True)

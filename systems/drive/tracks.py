@@ -1,8 +1,5 @@
 """What the drivers of all tracked robots share: their driven surfaces, and track drives with encoders."""
 
-from collections.abc import Mapping
-
-from pydrake.multibody.parsing import ModelInstanceInfo
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder, System
@@ -10,17 +7,6 @@ from pydrake.systems.framework import DiagramBuilder, System
 from ..errors import ConfigError
 from ..sensing import TrackEncoders, TrackEncodersConfig
 from .track_driver import TrackDriver, TrackDriverConfig
-
-
-def find_model(
-    plant: MultibodyPlant, name: str, models_from_directives: Mapping[str, ModelInstanceInfo]
-) -> ModelInstanceIndex:
-    """Index of the model `name`. Raises `ConfigError` when the plant has none of that name."""
-    if name in models_from_directives:
-        return models_from_directives[name].model_instance
-    if plant.HasModelInstanceNamed(name):
-        return plant.GetModelInstanceByName(name)
-    raise ConfigError("the plant has no such model", key="driver", value=name)
 
 
 def find_track_surfaces(plant: MultibodyPlant, model_instance: ModelInstanceIndex) -> tuple[list[str], list[str]]:

@@ -22,6 +22,7 @@ from ..registration import (
     register,
 )
 from ..sensing import Scan, deskew
+from ..sensing.deskew import rotation_vector
 from .keyframe import NO_KEYFRAME, Keyframe, KeyframePoses, PoseHealth
 from .motion import distance_and_angle, scale_motion
 from .odometry_accuracy import OdometryAccuracy, odometry_covariance
@@ -258,10 +259,9 @@ def _moved(X_AB: RigidTransform, X_AC: RigidTransform, config: ScanMatcherConfig
 
 def _swings(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> bool:
     """Whether the robot tips so fast that it is better to wait for the next scan, and there is still time to wait."""
-    R = X_BB0.rotation().matrix()
-    swing = 0.5 * float(np.hypot(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0]))
+    swing = float(np.hypot(*rotation_vector(X_BB0.rotation().matrix())[:2]))
     distance, _ = distance_and_angle(track.tried_at.inverse() @ X_OB)
-    return swing > np.sin(np.deg2rad(config.max_swing_deg)) and distance < 2 * config.keyframe_distance
+    return swing > np.deg2rad(config.max_swing_deg) and distance < 2 * config.keyframe_distance
 
 
 def _came_to_rest(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, config: ScanMatcherConfig) -> bool:

@@ -2,7 +2,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from naraha.models.worlds import BUILDERS, e2827, load_world, real_like, rough_field, stair_hall
+from naraha.models.worlds import BUILDERS, e2827, load_world, ramps, real_like, rough_field, stair_hall
 from naraha.systems.errors import ConfigError, WorldError
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
@@ -159,7 +159,7 @@ def corridor_heights(field_world, way, width, step=0.02):
 
 
 def test_a_wedge_rises_from_its_foot_at_its_slope_and_is_solid_down_to_the_floor():
-    solid = e2827.wedge("w", (1.0, 2.0), yaw=0.5, run=0.8, width=1.0, slope_deg=20)
+    solid = ramps.wedge("w", (1.0, 2.0), yaw=0.5, run=0.8, width=1.0, slope_deg=20)
     ahead = np.array([np.cos(0.5), np.sin(0.5)])
     for share in (0.05, 0.5, 0.95):
         top = solid.X_WG().inverse() @ np.array([*(np.array([1.0, 2.0]) + share * 0.8 * ahead), 0.0])
@@ -175,11 +175,11 @@ def test_over_the_ramps_there_are_ridges_of_15_degrees_and_around_them_it_is_fla
     places, _ = along(way, 0.01)
     z = heights(world, places)
     assert sum(s.name.startswith("pillar") for s in world.solids) == (2 if module is e2827 else 0)
-    ramps = z < 1.0  # without the pillar
-    slope = np.rad2deg(np.arctan(np.abs(np.diff(z[ramps])) / 0.01))
+    low = z < 1.0  # without the pillar
+    slope = np.rad2deg(np.arctan(np.abs(np.diff(z[low])) / 0.01))
     steep = slope[(slope > 1) & (slope < 45)]
     assert np.median(steep) == pytest.approx(15, abs=0.5)
-    assert z[ramps].max() == pytest.approx(e2827.RUN * np.tan(np.deg2rad(15)), abs=0.003)
+    assert z[low].max() == pytest.approx(ramps.RUN * np.tan(np.deg2rad(15)), abs=0.003)
     assert heights(world, along(module.WAY_AROUND, 0.02)[0]).max() < 1e-6
     for strip in corridor_heights(world, module.WAY_AROUND, 0.8):
         assert strip.max() < 1e-6
@@ -196,7 +196,7 @@ def test_over_the_ramps_is_a_good_deal_shorter_than_around(module):
 def test_where_lanes_of_ramps_meet_there_is_an_upright_face():
     world = load_world("e2827", 0)
     x = np.arange(-1.7, 1.7, 0.01)
-    seam = e2827.SOUTH + e2827.LANE
+    seam = e2827.SOUTH + ramps.LANE
     left, right = (heights(world, np.column_stack([x, np.full_like(x, seam + side)])) for side in (0.01, -0.01))
     assert np.abs(left - right).max() == pytest.approx(0.16, abs=0.005)
 
