@@ -9,7 +9,7 @@ from naraha.systems.config import quantity
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
-from .ability_worlds import GROUNDS, LENGTH, RUN_UP
+from .ability_worlds import GROUNDS, LENGTH
 from .station import StationConfig, make_station
 from .wiring import subsystem
 
@@ -151,6 +151,3 @@ def find_interval(passes: Callable[[float, int], str], highest: float, config: T
         else:
             good = middle
     return Interval(good, bad, reason, drives)
-
-
-__all__ = ["HUNG", "PASSED", "RUN_UP", "SLIPPED", "TIPPED", "Interval", "TrialConfig", "drive", "find_interval"]

@@ -21,7 +21,7 @@ from rich.progress import Progress, TextColumn
 from .ability_trials import Interval, TrialConfig, drive, find_interval
 from .ability_worlds import GROUNDS, LENGTH
 from .mission import Ending, Mission, Options, stop_flag
-from .robot_files import robot_ability, robot_file
+from .robot_files import robot_file
 from .scenario import load_scenario
 from .station import StationConfig
 
@@ -46,15 +46,14 @@ class CalibrateScenario(StationConfig):
     trials: TrialConfig = field(default_factory=TrialConfig)
     # Rectangles in which the robot will look at the ground.
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
-    # What is not found by driving: footprint and speeds of the robot.
-    ability: Ability = field(default_factory=Ability)
+    # What is not found by driving: footprint, speeds, coverage and risk limit. What is, is replaced.
+    given: Ability = field(default_factory=Ability)
 
 
 def load_calibrate(robot: str, settings: Sequence[str] = (), seed: int | None = None) -> CalibrateScenario:
     """The calibration of one of the robots, without its sensors. Raises `ScenarioError`, `ConfigError`."""
     scenario = load_scenario(CalibrateScenario, "calibrate", settings, seed, base=robot_file(robot))
     scenario.lidar = scenario.head = scenario.tilt = None
-    scenario.ability = robot_ability(robot)
     return scenario
 
 
@@ -78,9 +77,12 @@ def ability_from(intervals: dict[str, Interval], roughness: float, scenario: Cal
     fuzzy = FuzzyConfig(pitch_slope=terms(pitch, 4), roll_slope=terms(roll, 4), roughness=terms(roughness, 7))
     middle = scenario.terrain.start + 0.5 * scenario.terrain.depth
     return replace(
-        scenario.ability,
+        scenario.given,
         robot=scenario.robot.model,
-        source=f"measured by: naraha calibrate --robot {scenario.robot.model} --seed {scenario.seed}",
+        source=(
+            f"slopes, roughness, step and height measured by naraha calibrate --robot {scenario.robot.model} "
+            f"--seed {scenario.seed}; the rest is given in station.yaml"
+        ),
         fuzzy=fuzzy,
         height_threshold=round(middle * float(np.tan(pitch)) + step, 3),
         step_threshold=round(max(step, _LEAST_STEP), 4),
@@ -165,6 +167,3 @@ def calibrate(scenario: CalibrateScenario, options: Options) -> int:
             write_ability(mission.path("ability.yaml"), ability_from(intervals, limit, scenario))
 
     return mission.finish(ending, write_trials, write_metrics, write_file)
-
-
-__all__: list[str] = ["CalibrateScenario", "ability_from", "calibrate", "measured_roughness", "terms"]

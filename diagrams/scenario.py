@@ -30,7 +30,8 @@ def load_scenario[T](
 
     Args:
         schema: keyword-only dataclass to fill; what the file does not say keeps its default.
-        name: a shipped scenario's name, or a YAML file.
+        name: a shipped scenario's name, or a YAML file; its key `extends` names another one whose values hold where it
+            has none.
         settings: `path=value` items of the command line; the path is dotted, the value YAML.
         seed: replaces the scenario's `seed`.
         base: a YAML file whose values hold where the scenario has none, such as that of a robot.
@@ -39,7 +40,7 @@ def load_scenario[T](
         ScenarioError, ConfigError: one line that names file, key and the valid values.
     """
     path = _find(name)
-    sources: list[tuple[object, dict[str, Any]]] = [(path, _read(path))]
+    sources: list[tuple[object, dict[str, Any]]] = [(file, values) for file, values in _read_chain(path)]
     if base is not None:
         # A robot's file serves every mission: each takes what it knows.
         known = _fields(schema) or {}
@@ -78,6 +79,20 @@ def _add_nulls(config: Any, data: Any) -> None:
             data[field.name] = None
         else:
             _add_nulls(value, data.get(field.name))
+
+
+def _read_chain(path: Path) -> list[tuple[Path, dict[str, Any]]]:
+    """A scenario file and before it those that it `extends`, each with its own values; the last one wins."""
+    chain: list[tuple[Path, dict[str, Any]]] = []
+    while True:
+        if path in [seen for seen, _ in chain]:
+            raise ScenarioError("extends itself", where=path, key="extends")
+        values = _read(path)
+        parent = values.pop("extends", None)
+        chain.insert(0, (path, values))
+        if parent is None:
+            return chain
+        path = _find(str(parent))
 
 
 def _read(path: Path) -> dict[str, Any]:

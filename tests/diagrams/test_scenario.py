@@ -130,3 +130,16 @@ def test_the_file_of_a_robot_holds_where_the_scenario_says_nothing(tmp_path):
     base.write_text("spare: {radus: 0.7}\n")
     with pytest.raises(InputError, match=r"robot\.yaml: spare\.radus: unknown key"):
         load_scenario(Cart, str(path), base=base)
+
+
+def test_a_scenario_extends_another_one(tmp_path):
+    (tmp_path / "first.yaml").write_text("name: first\nspare: {radius: 0.7}\n")
+    second = tmp_path / "second.yaml"
+    second.write_text(f"extends: {tmp_path / 'first.yaml'}\nname: second\n")
+    assert load_scenario(Cart, str(second)) == Cart(name="second", spare=Wheel(radius=0.7))
+    (tmp_path / "first.yaml").write_text("spare: {radus: 0.7}\n")
+    with pytest.raises(InputError, match=r"first\.yaml: spare\.radus: unknown key"):
+        load_scenario(Cart, str(second))
+    second.write_text(f"extends: {second}\n")
+    with pytest.raises(InputError, match=r"second\.yaml: extends: extends itself"):
+        load_scenario(Cart, str(second))

@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from naraha.diagrams.ability_trials import HUNG, PASSED, SLIPPED, TrialConfig, drive, find_interval
+from naraha.diagrams.ability_trials import HUNG, PASSED, SLIPPED, Interval, TrialConfig, drive, find_interval
 from naraha.diagrams.calibrate import ability_from, load_calibrate, measured_roughness
 from naraha.diagrams.obstacle_distance import ObstacleDistance
 from naraha.diagrams.robot_files import robot_ability
@@ -151,6 +151,14 @@ def test_the_shipped_ability_is_passable_to_just_below_its_limits(robot):
         assert risk[0] < ability.risk_limit < risk[1]
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_what_is_given_is_in_the_shipped_ability_and_can_be_set(robot):
+    given, ability = load_calibrate(robot).given, robot_ability(robot)
+    for name in ("footprint", "max_speed", "max_yaw_rate", "min_coverage", "risk_limit"):
+        assert getattr(given, name) == getattr(ability, name)
+    assert load_calibrate(robot, ["given.min_coverage=0.4"]).given.min_coverage == 0.4
+
+
 def test_roughness_grows_with_the_ridges():
     rough = [measured_roughness(top, 0, TerrainConfig()) for top in (0.0, 0.05, 0.1, 0.2)]
     assert rough == sorted(rough)
@@ -159,8 +167,6 @@ def test_roughness_grows_with_the_ridges():
 
 
 def test_an_ability_follows_from_what_was_passed():
-    from naraha.diagrams.ability_trials import Interval
-
     scenario = load_calibrate("pioneer")
     passed = {"pitch_slope": 0.3, "roll_slope": 0.2, "step": 0.1, "ridges": 0.05}
     ability = ability_from({kind: Interval(v, 1.1 * v, HUNG, 5) for kind, v in passed.items()}, 1e-4, scenario)
