@@ -39,6 +39,10 @@ class WorldError(InputError):
     """A world is not usable, for example because it has no ground."""
 
 
+class PlanError(InputError):
+    """A floor plan cannot be read or used: no scale, a point in a wall, a point without a way to it."""
+
+
 class ScanFileError(InputError):
     """A recorded scan cannot be read or holds no usable point."""
 
