@@ -2,6 +2,7 @@
 
 import csv
 
+import numpy as np
 from naraha.models.worlds.stuck import StuckCase, stuck_case
 from naraha.systems.errors import ConfigError
 from naraha.systems.files import replacing
@@ -11,6 +12,8 @@ from pydrake.systems.framework import Context
 
 from .mission import Ending, Mission, Options
 from .recording import start_meshcat, write_recording
+from .recover_drawing import draw_recovery
+from .recover_metrics import COLUMNS
 from .recover_script import STEP, RecoverScenario, RecoverScript, label_of
 from .snake_moves import SnakeRun, make_snake_moves
 
@@ -88,9 +91,13 @@ def recover(scenario: RecoverScenario, options: Options) -> int:
     def write_recovery() -> None:
         with replacing(mission.path("recovery.csv")) as path, path.open("w", newline="") as file:
             table = csv.writer(file)
-            errors = [f"error_{axis}_m" for axis in "xyz"] + [f"error_{axis}_rad" for axis in ("rx", "ry", "rz")]
-            table.writerow(["time_s", *errors, "target_distance_m", "manipulability_m3", "tip_margin_m"])
+            table.writerow(COLUMNS)
             table.writerows([f"{value:.6g}" for value in row] for row in script.rows)
+
+    def write_drawing() -> None:
+        if any(np.isfinite(row[COLUMNS.index("control_x_m")]) for row in script.rows):
+            with replacing(mission.path("recovery.png")) as path:
+                draw_recovery(np.array(script.rows)).savefig(path, format="png", dpi=110)
 
     def write_rehearsals() -> None:
         if script.plan is None:
@@ -107,7 +114,7 @@ def recover(scenario: RecoverScenario, options: Options) -> int:
         if meshcat is not None:
             write_recording(meshcat, mission.path("recording.html"))
 
-    return mission.finish(ending, write_metrics, write_recovery, write_rehearsals, write_html)
+    return mission.finish(ending, write_metrics, write_recovery, write_drawing, write_rehearsals, write_html)
 
 
 __all__ = ["RecoverScenario", "RecoverScript", "ask", "choose_best", "make_recover", "recover"]

@@ -12,6 +12,7 @@ from naraha.systems.snake.stuck_rules import Diagnosis
 
 from .mission import Ending
 from .recording import RecordingConfig
+from .recover_metrics import RecoverMetrics, control_pose
 from .snake_belief import Belief, believe
 from .snake_moves import SnakeMovesConfig, SnakeRun
 from .snake_rehearsal import RehearsedPlan, plan
@@ -53,31 +54,6 @@ class RecoverScenario(SnakeMovesConfig):
     )
 
 
-@dataclass
-class RecoverMetrics:
-    """What is measured of a mission; the names are those of `metrics.json`."""
-
-    stuck_advance_m: float = np.nan
-    detected: bool = False
-    detected_class: int = 0
-    detected_unit: int = -1
-    detection_confidence: float = 0.0
-    true_class: int = 0
-    true_unit: int = -1
-    freed: bool = False
-    attempts: int = 0
-    move: str = ""
-    rehearsal_faithful: bool = True
-    head_motion_m: float = np.nan
-    control_point_error_m: float = np.nan
-    target_distance_start_m: float = np.nan
-    target_distance_end_m: float = np.nan
-    min_limit_margin_rad: float = np.inf
-    min_tip_margin_m: float = np.inf
-    max_tilt_rad: float = 0.0
-    advance_after_m: float = 0.0
-
-
 class RecoverScript:
     """The mission as a sequence of moves; `steps` is advanced by whoever simulates, every `STEP`."""
 
@@ -91,6 +67,7 @@ class RecoverScript:
         self.phase = "rest"
         self.ending = Ending("failed", "it did not come to an end")
         self._choose, self._say = choose, say
+        self._start = run.head()
 
     def steps(self) -> Iterator[None]:
         """Yields when the robot is to be simulated on; returns when the mission is over. `ending` says how."""
@@ -172,17 +149,21 @@ class RecoverScript:
 
     def _perform(self, proposal: Proposal) -> Iterator[None]:
         run, metrics = self.run, self.metrics
-        self.phase, start, first = "free", run.head(), True
+        start = self._start = run.head()
+        self.phase, first = "free", True
+        farthest, worst = 0.0, np.nan
         for planned, seconds in proposal.moves:
             move, until = run.give(planned), run.time + seconds
             while run.time < until - 1e-9:
                 yield
                 self._record()
+                farthest = max(farthest, float(np.linalg.norm(run.head() - start)))
                 if move.kind != "recover":
                     continue
                 status = run.read("recovery.status")
                 if status.number != move.number:
                     continue
+                worst = np.fmax(worst, np.linalg.norm(status.control_error[:3]))
                 if first and np.isfinite(status.distance):
                     metrics.target_distance_start_m, first = float(status.distance), False
                 if status.phase in ("done", "stopped", "refused"):
@@ -191,7 +172,7 @@ class RecoverScript:
             if move.kind == "recover":
                 metrics.control_point_error_m = float(np.linalg.norm(run.read("recovery.control_error")[:3]))
                 metrics.target_distance_end_m = float(run.read("recovery.target_distance")[0])
-        metrics.head_motion_m = float(np.linalg.norm(run.head() - start))
+        metrics.head_motion_m, metrics.control_point_error_max_m = farthest, float(worst)
 
     def _drive_on(self) -> Iterator[None]:
         scenario, run, metrics = self.scenario, self.run, self.metrics
@@ -226,10 +207,13 @@ class RecoverScript:
             metrics.min_tip_margin_m = min(metrics.min_tip_margin_m, margin)
 
     def _record(self) -> None:
-        run = self.run
-        error, distance = run.read("recovery.control_error"), run.read("recovery.target_distance")
-        margin = run.read("station.tip_margin")
-        self.rows.append([run.time, *error, *distance, run.read("recovery.status").manipulability, *margin])
+        run, status = self.run, self.run.read("recovery.status")
+        pose, reference = control_pose(status)
+        limits = np.array(self.scenario.snake.joint_limits())
+        joints = float(np.min(limits - np.abs(run.read("station.joint_angles"))))
+        head = float(np.linalg.norm(run.head() - self._start))
+        controlled = [*reference, *pose, *status.control_error, status.distance, status.manipulability]
+        self.rows.append([run.time, *controlled, joints, *run.read("station.tip_margin"), head])
 
 
 def label_of(proposal: Proposal) -> str:

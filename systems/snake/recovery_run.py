@@ -22,6 +22,7 @@ class RecoveryStatus:
         reason: why it is stopped or refused, or how it ended; in words.
         progress: of the control point on its way, 0 to 1.
         control_error: (6,) w_e - w_ref, position [m] and rotation vector [rad], from the measured angles.
+        reference: (12,) w_ref in the frame A of the segment: position [m] and rotation row by row; NaN before a motion.
         distance: d, of the segment's middle joint from the target [m].
         manipulability: √det(J Jᵀ) of the segment [m³].
         joint_margin: smallest distance of a joint from the end of its range [rad]; negative beyond it.
@@ -32,6 +33,7 @@ class RecoveryStatus:
     reason: str = ""
     progress: float = 0.0
     control_error: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    reference: np.ndarray = field(default_factory=lambda: np.full(12, np.nan))
     distance: float = np.nan
     manipulability: float = np.nan
     joint_margin: float = np.nan
@@ -129,11 +131,11 @@ def step_run(
     fraction, slope = minimum_jerk(time)
     fraction_rate = slope * (time - run.time) / dt
 
-    report = np.zeros(kernel.REPORT)
+    report, reference = np.zeros(kernel.REPORT), motion.reference(fraction, fraction_rate)
     kinematic = angles if config.feedback else run.joints
     rates = recovery_tick(
         np.ascontiguousarray(kinematic[segment]),
-        motion.reference(fraction, fraction_rate),
+        reference,
         motion.target,
         limits,
         run.settings,
@@ -166,6 +168,7 @@ def step_run(
         phase="settling" if time >= 1.0 else "moving",
         progress=fraction,
         control_error=report[:6].copy(),
+        reference=reference[:12],
         distance=float(report[kernel.DISTANCE]),
         manipulability=float(report[kernel.MANIPULABILITY]),
         joint_margin=margin,

@@ -4,6 +4,7 @@ import csv
 import json
 from dataclasses import replace
 
+import matplotlib.image
 import numpy as np
 import pytest
 from naraha.diagrams.mission import Options
@@ -154,7 +155,8 @@ def test_the_mission_leaves_its_products(tmp_path):
     scenario = load_scenario(RecoverScenario, "stuck", ["stuck=4", "rehearse=false", "drive_time=7.0"], seed=0)
     out = tmp_path / "out"
     assert recover(scenario, Options(out=out, console=Console(stderr=True, quiet=True))) == 0
-    assert {p.name for p in out.iterdir()} == {"metrics.json", "scenario.yaml", "recording.html", "recovery.csv"}
+    products = {"metrics.json", "scenario.yaml", "recording.html", "recovery.csv", "recovery.png"}
+    assert {p.name for p in out.iterdir()} == products
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["status"] == "done"
     assert metrics["freed"] is True
@@ -166,6 +168,13 @@ def test_the_mission_leaves_its_products(tmp_path):
     # At the start the body, which lay on a stone, takes up the load that the joints bear from then on.
     assert np.linalg.norm(errors, axis=1).max() < 0.02
     assert np.linalg.norm(errors, axis=1)[-1] < 0.001
+    # w_e is drawn from w_ref and the error; d of the middle comes near its target.
+    for axis in ("x_m", "y_m", "z_m"):
+        gap = [float(row[f"control_{axis}"]) - float(row[f"reference_{axis}"]) for row in rows]
+        np.testing.assert_allclose(gap, [float(row[f"error_{axis}"]) for row in rows], atol=2e-6)
+    assert min(float(row["target_distance_m"]) for row in rows) < 0.5 * metrics["target_distance_start_m"]
+    assert max(float(row["head_motion_m"]) for row in rows) == pytest.approx(metrics["head_motion_m"], rel=1e-3)
+    assert matplotlib.image.imread(out / "recovery.png").std() > 0.05
     again = load_scenario(RecoverScenario, str(out / "scenario.yaml"))
     assert dump_scenario(again) == dump_scenario(scenario)
 
