@@ -35,7 +35,9 @@ class RehearsedPlan:
 
 def copy_of(config: SnakeMovesConfig, world: World, X_WB: RigidTransform, joint_angles: np.ndarray) -> SnakeRun:
     """A robot without sensors in `world`, for rehearsals."""
-    bare = replace(config, imu=None, pads=None, ranges=None, actuators=replace(config.actuators, faults=[]))
+    bare = replace(
+        config, imu=None, pads=None, ranges=None, cameras=None, actuators=replace(config.actuators, faults=[])
+    )
     return SnakeRun(make_snake_moves(bare, world, X_WB=X_WB, joint_angles=joint_angles, seed=0))
 
 

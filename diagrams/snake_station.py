@@ -9,6 +9,7 @@ from naraha.models.worlds import World
 from naraha.systems.drive.snake_driver import SnakeDriver
 from naraha.systems.errors import ConfigError
 from naraha.systems.sensing import BodyPose, Imu, ImuConfig, RayScene, welded_frames
+from naraha.systems.sensing.fisheye_camera import FisheyeCamera, FisheyeCameraConfig, geometry_colours
 from naraha.systems.snake.contact_pads import ContactPads, ContactPadsConfig, find_pads
 from naraha.systems.snake.range_sensors import HalfShape, RangeSensors, RangeSensorsConfig
 from naraha.systems.snake.stuck_features import SnakeMeasures
@@ -46,6 +47,8 @@ class SnakeStationConfig:
     # Null leaves out a sensor and its outputs.
     pads: ContactPadsConfig | None = field(default_factory=ContactPadsConfig)
     ranges: RangeSensorsConfig | None = field(default_factory=RangeSensorsConfig)
+    # The fisheye cameras at head and tail, for operators; both are alike.
+    cameras: FisheyeCameraConfig | None = field(default_factory=FisheyeCameraConfig)
     tip_over_margin: TipOverMarginConfig = field(default_factory=TipOverMarginConfig)
 
 
@@ -73,10 +76,11 @@ def make_snake_station(
     """Builds the station. B is the head link, whose origin is at the nose.
 
     Inputs: `COMMANDS`, each optional, see `SnakeDrives`. Outputs: `MEASUREMENTS`, `rpy` (3), `gyro` (3),
-    `accelerometer` (3), `pad_forces` (4n), `ranges`, `tip_margin` (1), `support`, and for
+    `accelerometer` (3), `pad_forces` (4n), `ranges`, `head_image`, `tail_image`, `tip_margin` (1), `support`, and for
     metrics and plots only `cheat.X_WB` and `cheat.body_poses`.
 
-    Subsystems: `plant`, `scene_graph`, `robot.driver`, `imu`, `pads`, `ranges`, `tip_over_margin`, `truth`.
+    Subsystems: `plant`, `scene_graph`, `robot.driver`, `imu`, `pads`, `ranges`, `head_camera`, `tail_camera`,
+    `tip_over_margin`, `truth`.
 
     Args:
         joint_angles: (2n - 1,) at the start [rad].
@@ -119,6 +123,8 @@ def make_snake_station(
         _apply_pads(config.pads, config.snake.units, plant, scene_graph, builder, seed)
     if config.ranges is not None:
         _apply_ranges(config.ranges, config.snake, world, plant, scene_graph, builder, seed)
+    if config.cameras is not None:
+        _apply_cameras(config.cameras, world, plant, scene_graph, builder, seed)
     margin = TipOverMargin(config.tip_over_margin, plant=plant, model=model)
     builder.AddNamedSystem("tip_over_margin", margin)
     connect(builder, plant, "contact_results", margin)
@@ -152,6 +158,35 @@ def _apply_imu(config: ImuConfig, plant: MultibodyPlant, builder: DiagramBuilder
         connect(builder, plant, name, imu)
     for name in ("rpy", "gyro", "accelerometer"):
         builder.ExportOutput(imu.GetOutputPort(name), name)
+
+
+def _apply_cameras(
+    config: FisheyeCameraConfig,
+    world: World,
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    builder: DiagramBuilder,
+    seed: int,
+) -> None:
+    fixed = welded_frames(plant, plant.world_body())
+    inspector = scene_graph.model_inspector()
+    scene = RayScene(inspector, world.surface_table(), fixed_frames=fixed)
+    colours = geometry_colours(scene, inspector)
+    robot = plant.GetModelInstanceByName("robot")
+    for end in ("head", "tail"):
+        frame = plant.GetFrameByName(f"{end}_camera", robot)
+        camera = FisheyeCamera(
+            config,
+            scene=scene,
+            colours=colours,
+            parent_frame=plant.GetBodyFrameIdOrThrow(frame.body().index()),
+            X_PC=frame.GetFixedPoseInBodyFrame(),
+            rigid_frames=welded_frames(plant, frame.body()),
+            seed=sensor_seed(seed, f"{end}_camera"),
+        )
+        builder.AddNamedSystem(f"{end}_camera", camera)
+        builder.Connect(scene_graph.get_query_output_port(), camera.GetInputPort("geometry_query"))
+        builder.ExportOutput(camera.GetOutputPort("fisheye_image"), f"{end}_image")
 
 
 def _apply_pads(

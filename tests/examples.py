@@ -205,6 +205,7 @@ EXAMPLES: dict[str, Example] = {
         for name in (
             "ActuatorFaults",
             "ContactPads",
+            "FisheyeCamera",
             "InertialSpeed",
             "RangeSensors",
             "RecoveryPlanner",

@@ -12,7 +12,7 @@ import yaml
 from open3d.t.geometry import PointCloud
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
-from pydrake.systems.sensors import ImageDepth32F, ImageGrey8U
+from pydrake.systems.sensors import ImageDepth32F, ImageGrey8U, ImageRgba8U
 
 from tests.examples import EXAMPLES
 
@@ -49,7 +49,7 @@ def fingerprint(value):
         return {name: tensor.numpy().tobytes() for name, tensor in value.point.items()}
     if isinstance(value, (tuple, list)):
         return [fingerprint(item) for item in value]
-    if isinstance(value, (ImageDepth32F, ImageGrey8U)):
+    if isinstance(value, (ImageDepth32F, ImageGrey8U, ImageRgba8U)):
         return value.data.tobytes()
     if hasattr(value, "__dataclass_fields__"):
         return {name: fingerprint(getattr(value, name)) for name in value.__dataclass_fields__}
