@@ -5,6 +5,7 @@ from .differential_driver import DifferentialDriver, make_differential_driver
 from .flipper_driver import FLIPPERS, FlipperDriver, FlipperDriverConfig
 from .flipper_rule import AUTO, FlipperRule, FlipperRuleConfig
 from .mode_switch import MODES, ModeSwitch, ModeSwitchConfig
+from .motion_primitives import PRIMITIVES, MotionPrimitives, MotionPrimitivesConfig
 from .skid_steer import effective_gauge, quasi_static_twist, slip_offset, turn_rate
 from .tilt_unit import TiltConfig, TiltEncoder, TiltSweep
 from .track_driver import TrackDriver, TrackDriverConfig
@@ -21,6 +22,7 @@ __all__ = [
     "AUTO",
     "FLIPPERS",
     "MODES",
+    "PRIMITIVES",
     "CrawlerDriver",
     "DifferentialDriver",
     "FlipperDriver",
@@ -29,6 +31,8 @@ __all__ = [
     "FlipperRuleConfig",
     "ModeSwitch",
     "ModeSwitchConfig",
+    "MotionPrimitives",
+    "MotionPrimitivesConfig",
     "TiltConfig",
     "TiltEncoder",
     "TiltSweep",

@@ -10,6 +10,7 @@ from .motion_model import ACTIONS, HEADINGS, MotionModel, deterministic, from_ou
 from .path_smoothing import smooth_path
 from .policy import RollOut, RoutePolicy, roll_out
 from .policy_files import PolicyFileError, read_policy, write_policy
+from .policy_lookup import PolicyLookup, looked_up
 from .policy_reuse import reuse_values
 from .q_learning import Learned, Learning, LearningConfig, advance, begin, learn, learn_many, paper_learning
 from .route import Route
@@ -50,6 +51,7 @@ __all__ = [
     "LoopState",
     "MotionModel",
     "PolicyFileError",
+    "PolicyLookup",
     "RewardConfig",
     "RollOut",
     "Route",
@@ -85,6 +87,7 @@ __all__ = [
     "is_open",
     "learn",
     "learn_many",
+    "looked_up",
     "make_route_grid",
     "make_voxels",
     "merge_voxels",

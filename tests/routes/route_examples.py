@@ -3,8 +3,8 @@
 import numpy as np
 import open3d as o3d
 from naraha.systems.display import RouteDisplay
-from naraha.systems.drive import ModeSwitch
-from naraha.systems.routes import DistinctRoutes, VoxelWorld, find_routes
+from naraha.systems.drive import ModeSwitch, MotionPrimitives
+from naraha.systems.routes import DistinctRoutes, PolicyLookup, RoutePolicy, RouteTask, VoxelWorld, find_routes, solve
 from naraha.systems.slam import Keyframe
 from naraha.systems.tracking import PathFollower
 from open3d.t.geometry import PointCloud
@@ -82,10 +82,24 @@ def mode_switch(seed: int) -> tuple[System, LeafSystem]:
     )
 
 
+def motion_primitives(seed: int) -> tuple[System, LeafSystem]:
+    """A robot that does not move, told to turn left."""
+    return with_inputs(MotionPrimitives(), action=np.array([2.0]), X_MB=RigidTransform([seed, 0, 0.1]))
+
+
+def policy_lookup(seed: int) -> tuple[System, LeafSystem]:
+    grid, start, goal = water_map(seed)
+    task = RouteTask(grid, goal)
+    policy = RoutePolicy.of(task, solve(task).q)
+    return with_inputs(PolicyLookup(), policy=policy, X_MB=RigidTransform([*start[:2], 0.1]))
+
+
 ROUTE_EXAMPLES = {
     "DistinctRoutes": distinct_routes,
     "ModeSwitch": mode_switch,
+    "MotionPrimitives": motion_primitives,
     "PathFollower": path_follower,
+    "PolicyLookup": policy_lookup,
     "RouteDisplay": route_display,
     "VoxelWorld": voxel_world,
 }
