@@ -28,6 +28,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, System
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
+from tests.behaviors.behavior_examples import BEHAVIOR_EXAMPLES
 from tests.localization.localization_examples import LOCALIZATION_EXAMPLES
 from tests.routes.maps import water_map
 from tests.routes.route_examples import ROUTE_EXAMPLES, with_inputs
@@ -159,6 +160,7 @@ def on_pioneer(name: str) -> Example:
 
 EXAMPLES: dict[str, Example] = {
     **ROUTE_EXAMPLES,
+    **BEHAVIOR_EXAMPLES,
     **LOCALIZATION_EXAMPLES,
     **{
         name: in_survey(name)
