@@ -36,6 +36,9 @@ class ImuConfig:
     filter_gain: float = quantity(0.2, unit="1/s", low=0.0)
     # The pull is off while the specific force differs from gravity by more than this share: the robot accelerates.
     filter_gate: float = quantity(0.1, above=0.0)
+    # For so long after the first sample the gain is 1/t, if that is higher: the mean of what was measured so far, since
+    # the first sample alone is one of a robot that still rocks.
+    alignment_time: float = quantity(1.0, unit="s", low=0.0)
 
 
 def specific_force(R_WI: np.ndarray, a_WI_W: np.ndarray, gravity_W: np.ndarray) -> np.ndarray:
@@ -136,7 +139,9 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 # Layout of the discrete state.
 _GYRO, _FORCE, _QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
-_GYRO_BIAS, _FORCE_BIAS, _SAMPLES, _ALIGNED = slice(10, 13), slice(13, 16), 16, 17
+_GYRO_BIAS, _FORCE_BIAS, _SAMPLES = slice(10, 13), slice(13, 16), 16
+# Number of samples since the alignment began; 0 before it.
+_ALIGNED = 17
 
 
 class Imu(LeafSystem):
@@ -163,8 +168,9 @@ class Imu(LeafSystem):
     from `initial_yaw` and drifts with their bias.
 
     All three are sampled every period from t = 0 on and held between. The first sample aligns roll and pitch with the
-    measured specific force, so a run should start at rest; a robot that is still settling, whose specific force is more
-    than a tenth from gravity, is aligned at its first sample at rest. Before the first sample, gyro and accelerometer
+    measured specific force, those of the next `alignment_time` with their mean, so a run should start at rest and stay
+    so for that long; a robot that falls, whose specific force is more than a tenth from gravity, is aligned from its
+    first sample at rest on. Before the first sample, gyro and accelerometer
     are zero and `rpy` is (0, 0, initial_yaw).
 
     Args:
@@ -250,13 +256,18 @@ class Imu(LeafSystem):
             x[_QUATERNION] = align(x[_FORCE], self._initial_yaw)
             x[_ALIGNED] = 1
         else:
+            gain, aligned = config.filter_gain, x[_ALIGNED] * config.period
+            if x[_ALIGNED]:
+                x[_ALIGNED] += 1
+                if aligned < config.alignment_time:
+                    gain = max(gain, 1 / (aligned + config.period))
             x[_QUATERNION] = mahony_step(
                 x[_QUATERNION],
                 w_before,
                 x[_GYRO],
                 x[_FORCE],
                 config.period,
-                gain=config.filter_gain,
+                gain=gain,
                 gate=config.filter_gate,
                 gravity=-self._gravity_W[2],
             )

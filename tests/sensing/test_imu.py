@@ -278,7 +278,7 @@ def test_pendulum_of_a_multibody_plant_is_measured_and_its_turn_integrated():
     plant.Finalize()
     imu = builder.AddSystem(
         Imu(
-            dataclasses.replace(NOISELESS, filter_gain=0.0),
+            dataclasses.replace(NOISELESS, filter_gain=0.0, alignment_time=0.0),
             body_index=rod.index(),
             X_BI=RigidTransform([0, 0, -1.0]),
             gravity=plant.gravity_field().gravity_vector(),
@@ -335,3 +335,21 @@ def test_a_robot_that_is_dropped_is_aligned_when_it_has_settled():
     accelerations.FixValue(context, AbstractValue.Make([SpatialAcceleration.Zero()]))
     simulator.AdvanceTo(0.065)
     np.testing.assert_allclose(imu.GetOutputPort("rpy").Eval(context), [0.1, -0.2, 0], atol=5e-3)
+
+
+@pytest.mark.parametrize(("alignment_time", "off"), [(1.0, 0.005), (0.0, 0.04)])
+def test_a_robot_that_rocks_at_first_is_aligned_with_the_mean(alignment_time, off):
+    config = ImuConfig(gyro_bias=0.0, accelerometer_bias=0.0, alignment_time=alignment_time)
+    imu = Imu(config, body_index=BodyIndex(0), seed=1)
+    context = imu.CreateDefaultContext()
+    imu.GetInputPort("body_poses").FixValue(context, AbstractValue.Make([RigidTransform()]))
+    imu.GetInputPort("body_spatial_velocities").FixValue(context, AbstractValue.Make([SpatialVelocity.Zero()]))
+    accelerations = imu.GetInputPort("body_spatial_accelerations")
+    simulator = Simulator(imu, context)
+    # The casing shakes to and fro, beginning with a push: 0.6 m/s² is 3.5° of a vertical.
+    for k in range(105):
+        push = 0.6 * np.cos(2 * np.pi * k / 10)
+        accelerations.FixValue(context, AbstractValue.Make([SpatialAcceleration([0, 0, 0], [push, 0, 0])]))
+        simulator.AdvanceTo((k + 0.5) * config.period)
+    pitch = imu.GetOutputPort("rpy").Eval(context)[1]
+    assert (abs(pitch) < off) == (alignment_time > 0) and abs(pitch) < 0.07
