@@ -16,15 +16,18 @@ from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
 from ..sensing import Scan, interpolate_pose
 from ..sensing.deskew import rotation_vector
+from .height_drift import height_offset
 from .local_points import (
     WAY_OF_TURN,
     LocalCloudConfig,
     LocalPoints,
+    Sweep,
     add_scan,
     heading_frame,
     in_frame,
     level_ground,
     no_points,
+    place_scan,
 )
 from .voxel_cloud import transform_points
 
@@ -58,6 +61,8 @@ class _Memory:
     # X_OB when `way` was last counted.
     counted: np.ndarray | None = None
     last_index: int = -1
+    # [m] What is added to the height of X_OB.
+    lift: float = 0.0
 
     def __deepcopy__(self, memo: dict) -> "_Memory":
         return self
@@ -135,8 +140,9 @@ class LocalCloud(LeafSystem):
 
     def _CalcCloud(self, context: Context, output: AbstractValue) -> None:
         X_OB = eval_typed(self, context, "X_OB", RigidTransform).GetAsMatrix4()
-        X_OH = heading_frame(X_OB, self._config.base_height)
-        output.set_value(_cloud(in_frame(self._memory(context).points.p_O, X_OH)))
+        memory = self._memory(context)
+        X_OH = heading_frame(_lifted(X_OB, memory.lift), self._config.base_height)
+        output.set_value(_cloud(in_frame(memory.points.p_O, X_OH)))
 
 
 def take_in(memory: _Memory, note: _Note, scan: Scan, config: LocalCloudConfig) -> _Memory:
@@ -150,6 +156,7 @@ def take_in(memory: _Memory, note: _Note, scan: Scan, config: LocalCloudConfig) 
     if scan.index < 0 or scan.index == memory.last_index:
         return memory
     (X_OB0, X_BS0), (X_OB1, X_BS1) = (poses_at(notes, time) for time in (scan.start_time, scan.end_time))
+    X_OB0, X_OB1 = (_lifted(X_OB, memory.lift) for X_OB in (X_OB0, X_OB1))
     X_OS0, X_OS1 = X_OB0 @ X_BS0, X_OB1 @ X_BS1
     times, duration = scan.attribute("time"), scan.end_time - scan.start_time
     roll, pitch, _ = rotation_vector(X_OB0[:3, :3].T @ X_OB1[:3, :3])
@@ -159,13 +166,34 @@ def take_in(memory: _Memory, note: _Note, scan: Scan, config: LocalCloudConfig) 
     R, p = interpolate_pose(np.linalg.solve(X_OS0, X_OS1), np.linspace(0, 1, _INSTANTS))
     sweep = X_OS0[:3, :3] @ R, p @ X_OS0[:3, :3].T + X_OS0[:3, 3]
     p_OH = heading_frame(X_OB1, config.base_height)[:3, 3]
-    local = memory.points
+    local, lift = memory.points, memory.lift
+    if config.height_time is not None and memory.last_index >= 0:
+        rise = _rise(local, scan, fraction, sweep, p_OH, config)
+        sweep, p_OH, lift = (sweep[0], sweep[1] + rise), p_OH + rise, lift + rise[2]
     if memory.last_index < 0 and config.level_radius > 0:
         X_SH = np.linalg.solve(X_OS1, heading_frame(X_OB1, config.base_height))
         ground = transform_points(X_SH, level_ground(config.level_radius, config.voxel))
         local = add_scan(local, ground, np.ones(len(ground)), sweep, p_OH, scan.end_time, way, config)
     local = add_scan(local, scan.p_SP, fraction, sweep, p_OH, scan.end_time, way, config)
-    return replace(memory, points=local, last_index=scan.index)
+    return replace(memory, points=local, last_index=scan.index, lift=lift)
+
+
+def _rise(
+    points: LocalPoints, scan: Scan, fraction: np.ndarray, sweep: Sweep, p_OH: np.ndarray, config: LocalCloudConfig
+) -> np.ndarray:
+    """What brings the scan nearer to the height of what was seen before it, (3,) [m]: a part of the offset."""
+    assert config.height_time is not None
+    keys, new = place_scan(scan.p_SP, fraction, sweep, p_OH, config)
+    before = scan.end_time - config.height_time
+    offset = height_offset(points.keys, points.p_O[:, 2], points.time, keys, new[:, 2], before=before)
+    period = max(scan.end_time - scan.start_time, config.period)
+    return np.array([0.0, 0.0, 0.0 if offset is None else -offset * (1 - math.exp(-period / config.height_time))])
+
+
+def _lifted(X_OB: np.ndarray, lift: float) -> np.ndarray:
+    X = X_OB.copy()
+    X[2, 3] += lift
+    return X
 
 
 def poses_at(notes: tuple[_Note, ...], time: float) -> tuple[np.ndarray, np.ndarray]:

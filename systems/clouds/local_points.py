@@ -8,9 +8,9 @@ from numba import njit
 
 from ..config import quantity
 
-# A voxel's three indices are packed in 63 bits.
-_BITS = 21
-_HALF = 1 << (_BITS - 1)
+# A voxel's three indices are packed in 63 bits, that of the height last.
+KEY_BITS = 21
+_HALF = 1 << (KEY_BITS - 1)
 # Directions are compared in bins on the faces of a cube, so many along an edge: 0.6° in the middle, 4 cm at 4 m.
 _EDGE = 180
 # [m], [-] What is seen this far behind a point, and this share of its distance more, was seen through it: near the
@@ -18,6 +18,9 @@ _EDGE = 180
 _BEHIND, _BEHIND_SHARE = 0.2, 0.1
 # [m] A turn of one radian spoils odometry about as much as this much way.
 WAY_OF_TURN = 0.5
+
+# Rotations (K, 3, 3) and positions (K, 3) [m] of the sensor in O, at K instants from the start to the end of a scan.
+Sweep = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(kw_only=True)
@@ -46,6 +49,9 @@ class LocalCloudConfig:
     # [rad/s] A scan during which roll and pitch change faster than this is left out: poses that are a few hundredths of
     # a second late put its points centimetres too high or too low, and the ground seems to have steps.
     max_swing_rate: float = quantity(0.4, unit="rad/s", above=0)
+    # [s] Time constant with which the height of the robot follows the ground that was seen before, so that the drift of
+    # odometry makes no steps between old points and new ones; null leaves the height to `X_OB`.
+    height_time: float | None = quantity(0.5, unit="s", above=0)
     # [m] Around the robot, when its first scan arrives, the ground is taken for level up to this distance: a LiDAR that
     # looks over it would never show where the robot stands. 0 takes nothing for granted.
     level_radius: float = quantity(0.0, unit="m", low=0)
@@ -106,11 +112,36 @@ def heading_frame(X_OB: np.ndarray, base_height: float) -> np.ndarray:
     return X_OH
 
 
+def place_scan(
+    p_SP: np.ndarray, fraction: np.ndarray, sweep: Sweep, p_OH: np.ndarray, config: LocalCloudConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Keys (M,) of voxels and the points (M, 3) float32 of one scan in them; see `add_scan`."""
+    return _placed(p_SP, fraction, sweep, p_OH, config, np.zeros(0, np.float32))
+
+
+def _placed(
+    p_SP: np.ndarray,
+    fraction: np.ndarray,
+    sweep: Sweep,
+    p_OH: np.ndarray,
+    config: LocalCloudConfig,
+    nearest: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    p_SP = np.ascontiguousarray(p_SP, np.float32).reshape(-1, 3)
+    R, p = (np.ascontiguousarray(part, float) for part in sweep)
+    fraction = np.ascontiguousarray(fraction, np.float32)
+    return _place(p_SP, fraction, R, p, _window(p_OH, config), config.voxel, config.min_range, nearest)
+
+
+def _window(p_OH: np.ndarray, config: LocalCloudConfig) -> np.ndarray:
+    return np.array([*p_OH, config.radius, p_OH[2] + config.min_height, p_OH[2] + config.max_height])
+
+
 def add_scan(
     points: LocalPoints,
     p_SP: np.ndarray,
     fraction: np.ndarray,
-    sweep: tuple[np.ndarray, np.ndarray],
+    sweep: Sweep,
     p_OH: np.ndarray,
     time: float,
     way: float,
@@ -121,21 +152,21 @@ def add_scan(
     Args:
         p_SP: points, each in the sensor frame at its own instant, (N, 3) [m]; what is not finite is left out.
         fraction: instant of every point, (N,), 0 at the start of the scan and 1 at its end.
-        sweep: rotations (K, 3, 3) and positions (K, 3) [m] of the sensor in O, at K instants from start to end.
+        sweep: of the sensor, from the start of the scan to its end.
         p_OH: place of the robot on the ground, (3,) [m]: the window is around it.
         time, way: of the scan [s], [m].
     """
-    p_SP = np.ascontiguousarray(p_SP, np.float32).reshape(-1, 3)
-    R, p = (np.ascontiguousarray(part, float) for part in sweep)
-    fraction = np.ascontiguousarray(fraction, np.float32)
-    window = np.array([*p_OH, config.radius, p_OH[2] + config.min_height, p_OH[2] + config.max_height])
     clear = config.clear_after > 0 and len(points.keys) > 0
     nearest = np.full(6 * _EDGE**2 if clear else 0, np.inf, np.float32)
-    keys, new = _place(p_SP, fraction, R, p, window, config.voxel, config.min_range, nearest)
-    seen_through = _see_through(points.p_O, points.seen_through, p[-1], nearest) if clear else points.seen_through
+    keys, new = _placed(p_SP, fraction, sweep, p_OH, config, nearest)
+    seen_through = points.seen_through
+    if clear:
+        seen_through = _see_through(points.p_O, seen_through, np.ascontiguousarray(sweep[1][-1], float), nearest)
     order = np.argsort(keys, kind="stable")
     limits = np.array([time, way, time - config.memory, way - config.memory_way, config.clear_after or 256])
-    merged = _merge(points.keys, points.p_O, points.time, points.way, seen_through, keys, new, order, window, limits)
+    merged = _merge(
+        points.keys, points.p_O, points.time, points.way, seen_through, keys, new, order, _window(p_OH, config), limits
+    )
     return LocalPoints(*merged)
 
 
@@ -180,7 +211,7 @@ def _place(
             nearest[where] = min(nearest[where], math.sqrt(square))
         if _inside(a, b, c, window):
             i, j, k = math.floor(a / voxel) + _HALF, math.floor(b / voxel) + _HALF, math.floor(c / voxel) + _HALF
-            key = (i << 2 * _BITS) | (j << _BITS) | k
+            key = (i << 2 * KEY_BITS) | (j << KEY_BITS) | k
             if count == 0 or keys[count - 1] != key:
                 count += 1
             keys[count - 1] = key

@@ -126,6 +126,24 @@ def test_a_scan_is_taken_in_once_and_not_before_the_first_revolution():
     np.testing.assert_allclose(rig.update(0.2), [[0.5, 0, 0]], atol=1e-6)
 
 
+@pytest.mark.parametrize(("height_time", "largest"), [(0.5, 0.012), (None, 0.05)])
+def test_a_height_that_drifts_makes_no_steps(height_time, largest):
+    rng = np.random.default_rng(5)
+    rig = Rig(height_time=height_time, voxel=0.04)
+    floor = np.column_stack([rng.uniform(0, 3, 4000), rng.uniform(-1.5, 1.5, 4000), np.zeros(4000)])
+    rig.take(floor, 0, 0.0)
+    for index in range(1, 60):
+        # The odometry says that the robot rises by 1 mm a scan: in O, so does the ground that it sees.
+        drift = 0.001 * index
+        X_OB = RigidTransform([0, 0, BASE_HEIGHT + drift])
+        near = floor[np.hypot(*floor[:, :2].T) < 1.5]
+        cloud = rig.take(near[rng.permutation(len(near))[:700]] + [0, 0, drift], index, 0.1 * index, X_OB)
+    heights = cloud[:, 2]
+    spread = np.quantile(heights, 0.98) - np.quantile(heights, 0.02)
+    assert (spread <= largest) == (height_time is not None)
+    assert np.abs(np.median(heights[np.hypot(*cloud[:, :2].T) < 1.0])) < 0.02
+
+
 def test_points_outside_the_window_are_left_out_and_forgotten_when_it_moves_on():
     rig = Rig(radius=2.0, min_height=-0.5, max_height=0.8)
     inside, outside = [[1.9, 0, 0], [0, 1, 0.79], [0, 1, -0.49]], [[2.1, 0, 0], [0, 1, 0.81], [0, 1, -0.51]]
