@@ -61,7 +61,7 @@ class TraverseScenario(StationConfig):
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     # What is remembered of the ground; null drives by the histogram alone, as the paper does.
     memory: RiskMemoryConfig | None = field(default_factory=RiskMemoryConfig)
-    vfh: VfhConfig = field(default_factory=VfhConfig)
+    vfh: VfhConfig = field(default_factory=lambda: VfhConfig(start_time=1.0))
     # With a `risk_limit` of 0 or more, K_x falls with the risk (Eq. 9); null keeps it fixed.
     tracking: KanayamaConfig = field(default_factory=KanayamaConfig)
     # Whether speeds and `risk_limit` of the tracking are those of the ability.

@@ -37,6 +37,8 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     left = float(np.hypot(*(sight.goal - sight.pose[:2])))
     if left <= config.tolerance * (2 if state.status == ARRIVED else 1):
         return _rest(replace(state, status=ARRIVED), sight)
+    if sight.time < config.start_time:
+        return _rest(replace(state, status=LOOKING), sight)
     if config.preset == "paper":
         return _paper(state, sight, ability, config)
     state = _watch(state, sight, config)

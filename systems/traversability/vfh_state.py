@@ -21,6 +21,8 @@ class VfhConfig:
     preset: str = quantity("full", choices=PRESETS)
     # [s] Period of the decisions.
     period: float = quantity(0.1, unit="s", above=0)
+    # [s] Stands still for so long at first: the IMU finds the vertical, the LiDAR shows what is ahead.
+    start_time: float = quantity(0.0, unit="s", low=0)
     # [m] From the goal at which the robot has arrived; it stays so up to twice that.
     tolerance: float = quantity(0.15, unit="m", above=0)
     # [-] Reference speed v_r as a share of the robot's fastest; the rest comes from K_x x_e.

@@ -256,6 +256,13 @@ def test_the_subgoal_is_at_the_goal_when_that_is_nearer_and_v_r_falls_towards_it
     assert commands[0].v_r > commands[1].v_r > commands[2].v_r > 0
 
 
+def test_it_stands_still_until_its_start_time():
+    config = VfhConfig(start_time=1.0)
+    state, command = decide(VfhState(), replace(sight(goal=(5.0, 0)), time=0.9), pioneer(), config)
+    assert (state.status, command.v_r, command.omega_r) == ("looking", 0, 0)
+    assert decide(state, replace(sight(goal=(5.0, 0)), time=1.0), pioneer(), config)[1].v_r > 0
+
+
 def test_v_r_falls_with_the_risk_as_k_x_does():
     fast, slow = (
         decide(VfhState(), replace(sight(), histogram=histogram([1] * 9, risk)), pioneer(), VfhConfig())[1]
