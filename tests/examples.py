@@ -32,6 +32,7 @@ from tests.behaviors.behavior_examples import BEHAVIOR_EXAMPLES
 from tests.localization.localization_examples import LOCALIZATION_EXAMPLES
 from tests.routes.maps import water_map
 from tests.routes.route_examples import ROUTE_EXAMPLES, with_inputs
+from tests.sensing.meter_rig import meter_example
 from tests.snake.robot import controlled_snake
 from tests.snake.stuck_snake import moving_snake
 from tests.traversability.unicycle_world import build as build_box_world
@@ -195,6 +196,7 @@ EXAMPLES: dict[str, Example] = {
         )
     },
     "ExtrinsicCalibrator": lambda seed: in_extrinsics("ExtrinsicCalibrator", seed),
+    "IlluminanceMeter": meter_example,
     "LocalCloud": remembering_scans,
     "KeyframeDisplay": lambda seed: in_mapping("KeyframeDisplay", seed, Meshcat()),
     "RouteLearner": learning_a_route,

@@ -5,7 +5,9 @@ from .camera_model import R_OPTICAL, CameraModel
 from .depth_camera import DepthCamera, DepthCameraConfig
 from .deskew import deskew, interpolate_pose
 from .gamma_counter import DoseReading, GammaCounter, GammaCounterConfig
+from .illuminance_meter import IlluminanceMeter, IlluminanceMeterConfig
 from .imu import Imu, ImuConfig
+from .lamps import Emitters, Lamp, Window, illuminance, make_emitters
 from .lidar import Lidar, LidarConfig, scan_at
 from .nir_camera import NirCamera, NirCameraConfig
 from .pan_tilt import PanTilt, PanTiltConfig, pan_tilt_pose
@@ -26,10 +28,14 @@ __all__ = [
     "DepthCamera",
     "DepthCameraConfig",
     "DoseReading",
+    "Emitters",
     "GammaCounter",
     "GammaCounterConfig",
+    "IlluminanceMeter",
+    "IlluminanceMeterConfig",
     "Imu",
     "ImuConfig",
+    "Lamp",
     "Lidar",
     "LidarConfig",
     "NirCamera",
@@ -49,10 +55,13 @@ __all__ = [
     "ThermalCameraConfig",
     "TrackEncoders",
     "TrackEncodersConfig",
+    "Window",
     "associate",
     "deskew",
+    "illuminance",
     "interpolate_pose",
     "list_scans",
+    "make_emitters",
     "pan_tilt_pose",
     "read_poses",
     "read_scan",
