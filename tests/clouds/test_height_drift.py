@@ -25,7 +25,7 @@ def ground(rng, slope=0.0, noise=0.0, count=3000):
 def test_the_offset_of_noisy_ground_is_found_to_millimetres(slope, offset):
     rng = np.random.default_rng(3)
     keys, old = placed(ground(rng, slope, 0.01))
-    new_keys, new = placed(ground(rng, slope, 0.01, count=600) + [0, 0, offset])
+    new_keys, new = placed(ground(rng, slope, 0.01, count=600) + np.array([0, 0, offset]))
     found = height_offset(keys, old[:, 2], np.zeros(len(keys)), new_keys, new[:, 2], before=1.0)
     assert found == pytest.approx(offset, abs=0.004)
 
@@ -34,7 +34,7 @@ def test_recent_points_walls_and_things_that_came_do_not_count():
     rng = np.random.default_rng(4)
     keys, old = placed(ground(rng))
     # A quarter of the ground is hidden by something 7 cm high: less than the limit, and still no reason to rise.
-    new = ground(rng, count=600) + [0, 0, 0.01]
+    new = ground(rng, count=600) + np.array([0, 0, 0.01])
     new[new[:, 0] > 0.75, 2] += 0.07
     new_keys, new = placed(new)
     assert height_offset(keys, old[:, 2], np.zeros(len(keys)), new_keys, new[:, 2], before=1.0) == pytest.approx(
