@@ -106,12 +106,10 @@ def _solid_voxels(points: np.ndarray, voxel: float, run: int, core: float) -> tu
         return _solid_voxels(points[(np.abs(points - middle) < half * 0.95).all(axis=1)], voxel, run, core)
     occupied = np.zeros(shape, bool)
     occupied[tuple((np.floor(points / voxel) - low).astype(np.int64).T)] = True
-    upright = np.ones((1, 1, 3), bool)
-    standing = ndimage.binary_closing(occupied, upright)
-    standing = ndimage.binary_opening(standing, np.ones((1, 1, max(run, 1)), bool))
+    standing = _eroded(_dilated(occupied, 3, 2), 3, 2)
+    standing = _opened(standing, max(run, 1), 2)
     # Fill every layer: what no way leads out of, after gaps of one voxel are closed.
-    across = np.ones((3, 3, 1), bool)
-    rim = ndimage.binary_closing(standing, across)
+    rim = _eroded(_eroded(_dilated(_dilated(standing, 3, 0), 3, 1), 3, 0), 3, 1)
     layer = ndimage.generate_binary_structure(3, 1)
     layer[:, :, [0, 2]] = False
     enclosed, count = ndimage.label(~rim, layer)
@@ -119,3 +117,38 @@ def _solid_voxels(points: np.ndarray, voxel: float, run: int, core: float) -> tu
     small = size <= core
     small[0] = False
     return low * voxel, standing | small[enclosed]
+
+
+def _dilated(mask: np.ndarray, width: int, axis: int) -> np.ndarray:
+    """Dilation by a line of odd `width` along one axis: some times as fast as that of scipy.ndimage."""
+    grown = mask.copy()
+    for shift in range(1, width // 2 + 1):
+        ahead, behind = _shifted(mask.ndim, axis, shift)
+        grown[ahead] |= mask[behind]
+        grown[behind] |= mask[ahead]
+    return grown
+
+
+def _eroded(mask: np.ndarray, width: int, axis: int) -> np.ndarray:
+    """Erosion by a line of odd `width` along one axis; the border of the mask must be empty."""
+    return ~_dilated(~mask, width, axis)
+
+
+def _opened(mask: np.ndarray, run: int, axis: int) -> np.ndarray:
+    """What lies in runs of at least `run` along one axis."""
+    first = mask.copy()
+    for shift in range(1, run):
+        ahead, behind = _shifted(mask.ndim, axis, shift)
+        first[behind] &= mask[ahead]
+        first[(*behind[:axis], slice(max(mask.shape[axis] - shift, 0), None))] = False
+    opened = first.copy()
+    for shift in range(1, run):
+        ahead, behind = _shifted(mask.ndim, axis, shift)
+        opened[ahead] |= first[behind]
+    return opened
+
+
+def _shifted(dimensions: int, axis: int, shift: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Slices of all but the first, and of all but the last `shift` layers along an axis."""
+    whole = [slice(None)] * axis
+    return (*whole, slice(shift, None)), (*whole, slice(None, -shift))
