@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from naraha.models.amphibious.urdf import AmphibiousShape
 from naraha.models.crawler.urdf import CRAWLERS
+from naraha.models.lux_robot.urdf import LuxRobotShape
 from naraha.models.pioneer.urdf import PioneerShape
 from naraha.systems.config import quantity
 from naraha.systems.drive import CrawlerDriver, DifferentialDriver, TrackedDriver
@@ -38,6 +39,9 @@ ROBOTS = {
         for name, shape in CRAWLERS.items()
     },
     "pioneer": RobotModel("package://naraha/pioneer/pioneer.urdf", DifferentialDriver, PioneerShape().wheel_radius),
+    "lux_robot": RobotModel(
+        "package://naraha/lux_robot/lux_robot.urdf", DifferentialDriver, LuxRobotShape().wheel_radius
+    ),
     "amphibious": RobotModel(
         "package://naraha/amphibious/amphibious.urdf", TrackedDriver, AmphibiousShape().track_radius
     ),

@@ -15,7 +15,7 @@ from .pose_files import Poses, associate, read_poses, write_tum
 from .ray_scene import RayHits, RayScene, welded_frames
 from .scan import PointCloud, Scan
 from .scan_files import list_scans, read_scan, write_cloud
-from .scan_pattern import ScanPattern, utm30lx, vlp16
+from .scan_pattern import ScanPattern, utm30lx, utm30lx_10hz, vlp16
 from .scan_replay import ScanReplay, timed_scan
 from .surfaces import Surface, SurfaceTable
 from .thermal_camera import ThermalCamera, ThermalCameraConfig
@@ -68,6 +68,7 @@ __all__ = [
     "scan_at",
     "timed_scan",
     "utm30lx",
+    "utm30lx_10hz",
     "vlp16",
     "welded_frames",
     "write_cloud",

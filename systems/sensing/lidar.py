@@ -20,9 +20,9 @@ from .mirror import mirror_share, mirrored_rays
 from .own_body import OwnBody
 from .ray_scene import RayHits, RayScene
 from .scan import Scan
-from .scan_pattern import ScanPattern, utm30lx, vlp16
+from .scan_pattern import ScanPattern, utm30lx, utm30lx_10hz, vlp16
 
-_PATTERNS = {"vlp16": vlp16, "utm30lx": utm30lx}
+_PATTERNS = {"vlp16": vlp16, "utm30lx": utm30lx, "utm30lx_10hz": utm30lx_10hz}
 
 
 @dataclass(kw_only=True)

@@ -1,6 +1,6 @@
 """Which way the beams of a spinning LiDAR point, and when."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -146,3 +146,10 @@ def utm30lx() -> ScanPattern:
         range_noise=0.01,
         detection_range=60.0,
     )
+
+
+def utm30lx_10hz() -> ScanPattern:
+    """Every fourth scan of a `utm30lx`, as its protocol can be asked for: the beams are those of the period's last
+    25 ms."""
+    pattern = utm30lx()
+    return replace(pattern, times=0.075 + pattern.times, period=0.1)

@@ -10,11 +10,11 @@ from naraha.systems.behaviors.fuzzy_goal_seeking import GOAL_INPUTS
 from naraha.systems.behaviors.fuzzy_obstacle_avoidance import AVOIDANCE_INPUTS
 
 BEHAVIORS = MODELS_DIR / "lux_robot" / "behaviors.yaml"
-ROBOT_RADIUS = 0.25
+ROBOT_RADIUS = 0.263
 GAP = 0.9
 """Obstacles are at least this far from each other and from the walls [m]."""
 ANGLES = np.deg2rad(np.arange(-135, 135.1, 0.5))
-LASER_X = 0.1
+LASER_X = 0.12
 """The laser sits this far before the middle of the robot [m]."""
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from naraha.models import MODELS_DIR
 from naraha.models.amphibious.urdf import AmphibiousShape
 from naraha.models.crawler.urdf import CRAWLERS
+from naraha.models.lux_robot.urdf import LuxRobotShape
 from naraha.models.pioneer.urdf import PioneerShape
 from naraha.systems.drive import CrawlerDriver, DifferentialDriver, TrackedDriver
 from pydrake.common.value import Value
@@ -21,8 +22,12 @@ from pydrake.systems.primitives import ConstantVectorSource
 TIME_STEP = 0.004
 RIDE_HEIGHT = CRAWLERS["crawler"].track_radius
 """Height [m] of the crawler's axles over flat ground."""
-RIDE_HEIGHTS = {"pioneer": PioneerShape().wheel_radius, "amphibious": AmphibiousShape().track_radius}
-DRIVERS = {"pioneer": DifferentialDriver, "amphibious": TrackedDriver}
+RIDE_HEIGHTS = {
+    "pioneer": PioneerShape().wheel_radius,
+    "lux_robot": LuxRobotShape().wheel_radius,
+    "amphibious": AmphibiousShape().track_radius,
+}
+DRIVERS = {"pioneer": DifferentialDriver, "lux_robot": DifferentialDriver, "amphibious": TrackedDriver}
 
 
 @functools.cache

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from naraha.systems.errors import ConfigError
-from naraha.systems.sensing import LidarConfig, ScanPattern, utm30lx, vlp16
+from naraha.systems.sensing import LidarConfig, ScanPattern, utm30lx, utm30lx_10hz, vlp16
 
 ROTATIONS = Path(__file__).parents[3] / "shared" / "data" / "nebula"
 
@@ -57,6 +57,14 @@ def test_vlp16_has_28800_rays_over_a_tenth_of_a_second():
     np.testing.assert_allclose(np.diff(p.times), 0.1 / 1800)
     assert (p.period, p.min_range, p.max_range, p.range_noise) == (0.1, 0.4, 100.0, 0.008)
     np.testing.assert_allclose(p.heights, -p.heights[::-1])
+
+
+def test_at_10_hz_a_utm30lx_sweeps_as_fast_as_ever_and_last_thing_in_the_period():
+    p, full = utm30lx_10hz(), utm30lx()
+    assert p.period == 0.1
+    np.testing.assert_allclose(np.diff(p.times), np.diff(full.times))
+    assert 0.1 - p.times[-1] == pytest.approx(full.period - full.times[-1])
+    np.testing.assert_array_equal(p.azimuths, full.azimuths)
 
 
 def test_utm30lx_sweeps_270_degrees_in_three_quarters_of_its_period():
