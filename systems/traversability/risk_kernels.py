@@ -41,11 +41,12 @@ def _median_of_nine(z: np.ndarray, i: int, j: int) -> float:
 
 @njit(cache=True)
 def window_features(
-    low: np.ndarray, high: np.ndarray, cell: float, half: int
+    low: np.ndarray, high: np.ndarray, left_out: np.ndarray, cell: float, half: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Slope [rad], roughness [m²], coverage and height [m] of every cell, from the window of ±`half` cells around it.
 
-    The height of a cell that was not seen is the mean of two opposite ones that were.
+    The height of a cell that was not seen is the mean of two opposite ones that were. Cells that are `left_out` (bool)
+    are seen but are not ground: they count for the coverage alone.
     """
     nx, ny = low.shape
     z = np.full((nx, ny), np.nan)
@@ -62,7 +63,7 @@ def window_features(
     slope = np.full((nx, ny), np.nan, np.float32)
     roughness = np.full((nx, ny), np.nan, np.float32)
     coverage = np.zeros((nx, ny), np.float32)
-    moments, columns = np.zeros(9), np.zeros((ny, 9))
+    moments, columns = np.zeros(10), np.zeros((ny, 10))
     full, middle = (2 * half + 1) ** 2, 0.5 * (low + high)
     for i in range(nx):
         # Sums over the rows of the window, column by column, about this row; then a running sum over the columns.
@@ -72,6 +73,9 @@ def window_features(
             x = (p - i) * cell
             for j in range(ny):
                 if np.isfinite(z[p, j]):
+                    columns[j, 9] += 1.0
+                    if left_out[p, j]:
+                        continue
                     y, h = j * cell, z[p, j]
                     columns[j, 0] += 1.0
                     columns[j, 1] += x
@@ -90,7 +94,7 @@ def window_features(
                 moments += columns[j + half]
             if j - half - 1 >= 0:
                 moments -= columns[j - half - 1]
-            coverage[i, j] = moments[0] / full
+            coverage[i, j] = moments[9] / full
             if moments[0] < 2.5 or not np.isfinite(height[i, j]):
                 continue
             a, b, c, found = solve_plane(moments)
@@ -101,7 +105,7 @@ def window_features(
             for p in range(first, last):
                 for q in range(max(j - half, 0), min(j + half + 1, ny)):
                     h = middle[p, q]
-                    if np.isfinite(h):
+                    if np.isfinite(h) and not left_out[p, q]:
                         d = abs(a * (p - i) * cell + b * q * cell + c - h)
                         distance += d
                         square += d * d

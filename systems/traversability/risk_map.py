@@ -82,7 +82,8 @@ def make_risk_map(
     Around every cell a plane is laid through a window (least squares, over the surface's cells after a median of three
     by three that takes out what single cells say); its slope counts once all as pitch, once all as roll and once half
     of each way, and the worst of the three is kept. Roughness is the variance of the distances to the plane (Eq. 4).
-    A cell at a step above `step_threshold` is `IMPASSABLE`: the step itself, not the window around it. A cell whose
+    A cell at a step above `step_threshold` is `IMPASSABLE`: the step itself, not the window around it, whose plane and
+    roughness leave such cells out. A cell whose
     window was seen by less than `min_coverage`, or that was itself not seen nor lies between two that were, is NaN.
 
     Args:
@@ -107,8 +108,9 @@ def make_risk_map(
         origin, shape = first * cell, (int(count[0]), int(count[1]))
     surface = find_surface(points, origin, shape, cell, clearance=config.surface.clearance, ceiling=config.ceiling)
     half = max(1, round(0.5 * (config.window / cell - 1)))
-    slope, roughness, coverage, height = window_features(surface.low, surface.high, cell, half)
     step = find_steps(surface, config.surface)
+    stepped = step > ability.step_threshold
+    slope, roughness, coverage, height = window_features(surface.low, surface.high, stepped, cell, half)
     inference, zero = Mamdani(ability.fuzzy), np.zeros(slope.size)
     flat, rough = slope.ravel().astype(float), roughness.ravel().astype(float)
     known = np.isfinite(flat)
@@ -118,6 +120,6 @@ def make_risk_map(
         features = np.column_stack([pitch, roll, rough])[known]
         worst[known] = np.fmax(worst[known], inference.infer(features).risk)
     risk = worst.reshape(slope.shape)
-    risk[step > ability.step_threshold] = IMPASSABLE
+    risk[stepped] = IMPASSABLE
     risk[(coverage < ability.min_coverage) | ~np.isfinite(height)] = np.nan
     return RiskMap(risk, height, slope, roughness, step, coverage, np.asarray(origin, float), cell)

@@ -52,6 +52,15 @@ def test_a_pole_is_impassable_where_it_stands_and_not_around_it():
     assert (found.risk == IMPASSABLE).sum() < 30
 
 
+def test_beside_a_wall_the_ground_is_as_smooth_as_it_is():
+    wall = np.mgrid[0.5:0.7:0.02, -2.0:2.0:0.02, 0.0:1.0:0.05].reshape(3, -1).T
+    floor = ground(plane(0))
+    found = make_risk_map(np.vstack([floor[floor[:, 0] < 0.5], wall]), Ability())
+    beside = found.at(np.array([[0.2, y] for y in np.arange(-1.0, 1.1, 0.1)]))
+    assert beside.max() < 1.2 * make_risk_map(floor, Ability()).at(np.array([[0.2, 0.0]]))[0]
+    assert found.at(np.array([[0.55, 0.0]]))[0] == IMPASSABLE
+
+
 def test_what_was_not_seen_is_not_judged():
     points = ground(plane(0))
     found = make_risk_map(
