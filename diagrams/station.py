@@ -7,7 +7,18 @@ from naraha.models import MODELS_DIR
 from naraha.models.worlds import World, load_world
 from naraha.systems.drive import TiltConfig, TiltEncoder, TiltSweep
 from naraha.systems.errors import ConfigError, ScenarioError, WorldError
-from naraha.systems.sensing import BodyPose, Imu, ImuConfig, Lidar, LidarConfig, RayScene, welded_frames
+from naraha.systems.sensing import (
+    BodyPose,
+    IlluminanceMeter,
+    IlluminanceMeterConfig,
+    Imu,
+    ImuConfig,
+    Lidar,
+    LidarConfig,
+    RayScene,
+    make_emitters,
+    welded_frames,
+)
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.manipulation import ApplyDriverConfigs
@@ -65,6 +76,8 @@ class StationConfig:
     imu: ImuConfig = field(default_factory=ImuConfig)
     # Cameras and gamma counter on the mast; null leaves them out.
     head: HeadConfig | None = None
+    # Illuminance meter of a robot that has one; null leaves it out.
+    meter: IlluminanceMeterConfig | None = None
 
 
 def station_world(config: StationConfig, seed: int) -> World:
@@ -82,10 +95,11 @@ def make_station(
     Outputs: `track_displacements` (2) and `track_speeds` (2) of tracks or wheels, `rpy` (3), `gyro` (3),
     `accelerometer` (3); with a LiDAR `scan_S`, and `X_BS` (RigidTransform), its measured pose in the base at the end of
     that scan; of a robot with flippers `flipper_angles` (4), `active_preset` (str); with a tilt unit and a LiDAR
-    `tilt_angle` (1); those of the head (see `apply_head`), and for metrics only `cheat.X_WB`.
+    `tilt_angle` (1); those of the head (see `apply_head`); with a meter `illuminance` (1); and for metrics only
+    `cheat.X_WB` and `cheat.illuminance` (1).
 
-    Subsystems: `plant`, `scene_graph`, `robot.driver`, `imu`, `lidar`, `lidar_pose`, `tilt_sweep`, `truth`, and those
-    of the head.
+    Subsystems: `plant`, `scene_graph`, `robot.driver`, `imu`, `lidar`, `lidar_pose`, `tilt_sweep`, `meter`, `truth`,
+    and those of the head.
 
     Raises:
         ScenarioError, WorldError, ConfigError: unknown robot or world, no ground below the start, values out of range.
@@ -110,13 +124,15 @@ def make_station(
     if driver.HasInputPort("rpy"):
         connect(builder, builder.GetSubsystemByName("imu"), "rpy", driver)
     _apply_tilt(config.tilt, driver, builder)
-    if config.lidar is not None or config.head is not None:
+    if config.lidar is not None or config.head is not None or config.meter is not None:
         scene = RayScene(scene_graph.model_inspector(), world.surface_table(), exclude=TRANSPARENT, threads=0)
         if config.lidar is not None:
             lidar = _apply_lidar(config.lidar, scene, plant, builder, seed)
             _apply_lidar_pose(config.tilt, lidar.pattern.period, plant, builder, seed)
         if config.head is not None:
             apply_head(config.head, scene, plant, builder, seed=seed)
+        if config.meter is not None:
+            _apply_meter(config.meter, world, scene, plant, builder, seed)
     _apply_truth(plant, builder)
     if meshcat is not None:
         parameters = MeshcatVisualizerParams(publish_period=0.1, prefix="station")
@@ -183,6 +199,33 @@ def _apply_lidar(
     connect(builder, builder.GetSubsystemByName("scene_graph"), "query", lidar, "geometry_query")
     builder.ExportOutput(lidar.GetOutputPort("scan_S"), "scan_S")
     return lidar
+
+
+def _apply_meter(
+    config: IlluminanceMeterConfig,
+    world: World,
+    scene: RayScene,
+    plant: MultibodyPlant,
+    builder: DiagramBuilder,
+    seed: int,
+) -> None:
+    robot = plant.GetModelInstanceByName("robot")
+    if not plant.HasFrameNamed("meter", robot):
+        raise ConfigError("the robot has no illuminance meter", key="meter", valid="null, or another robot.model")
+    frame = plant.GetFrameByName("meter", robot)
+    meter = IlluminanceMeter(
+        config,
+        emitters=make_emitters(world.lamps, world.windows, where="world"),
+        scene=scene,
+        parent_frame=plant.GetBodyFrameIdOrThrow(frame.body().index()),
+        X_PI=frame.GetFixedPoseInBodyFrame(),
+        own_frames=[plant.GetBodyFrameIdOrThrow(i) for i in plant.GetBodyIndices(robot)],
+        seed=sensor_seed(seed, "meter"),
+    )
+    builder.AddNamedSystem("meter", meter)
+    connect(builder, builder.GetSubsystemByName("scene_graph"), "query", meter, "geometry_query")
+    for name in ("illuminance", "cheat.illuminance"):
+        builder.ExportOutput(meter.GetOutputPort(name), name)
 
 
 def _apply_tilt(config: TiltConfig | None, driver: System, builder: DiagramBuilder) -> None:

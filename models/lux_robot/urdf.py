@@ -57,8 +57,9 @@ class LuxRobotShape:
     caster_radius: float = quantity(0.03, unit="m", above=0.0)
     # [m] scan centre of the laser before the axle; it stands on the body.
     laser_x: float = quantity(0.12, unit="m")
-    # [m] mast behind the axle, out of the laser's field, and height of the meter's plate over ground: where a desk is.
-    mast_x: float = quantity(-0.12, unit="m")
+    # [m] mast over the axle, so that the meter is where the robot is; it is behind the laser, out of its field. Height
+    # of the meter's plate over ground: where the top of a desk is.
+    mast_x: float = quantity(0.0, unit="m")
     meter_height: float = quantity(0.85, unit="m", above=0.0)
 
     base_mass: float = quantity(9.5, unit="kg", above=0.0)

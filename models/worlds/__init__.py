@@ -1,11 +1,12 @@
 """Worlds: data in YAML, or builders that a seed varies."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from naraha.systems.errors import WorldError
 
-from . import corridor, e2827, real_like, rough, rough_field, stair_hall, stuck
+from . import corridor, e2827, halls, real_like, rough, rough_field, stair_hall, stuck
 from .world import Solid, World, load_world_file
 
 BUILDERS: dict[str, Callable[[int], World]] = {
@@ -18,6 +19,7 @@ BUILDERS: dict[str, Callable[[int], World]] = {
     "stair_hall": stair_hall.build,
     "stair_hall_later": stair_hall.build_later,
     **{f"stuck_{kind}": stuck.build(kind) for kind in stuck.KINDS},
+    **{name: partial(halls.build, name) for name in halls.shipped_plans()},
 }
 
 

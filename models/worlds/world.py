@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from naraha.systems.config import check_config, quantity
 from naraha.systems.errors import WorldError
-from naraha.systems.sensing import RayScene, Surface, SurfaceTable, welded_frames
+from naraha.systems.sensing import Lamp, RayScene, Surface, SurfaceTable, Window, welded_frames
 from pydrake.common.yaml import yaml_load_data, yaml_load_typed
 from pydrake.geometry import Box, Cylinder, Shape, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -59,6 +59,9 @@ class World:
 
     solids: list[Solid] = field(default_factory=list)
     surfaces: dict[str, Surface] = field(default_factory=dict)
+    # What an illuminance meter sees; other sensors do not need light.
+    lamps: list[Lamp] = field(default_factory=list)
+    windows: list[Window] = field(default_factory=list)
 
     def check(self, where: object = "") -> None:
         """Raises `WorldError` or `ConfigError` (naming `where`) when the world cannot be built or has no ground."""

@@ -6,6 +6,7 @@ from .free_way import braked, free_arc, free_ways
 from .fuzzy_goal_seeking import FuzzyGoalSeeking, goal_error
 from .fuzzy_obstacle_avoidance import AvoidanceConfig, FuzzyObstacleAvoidance
 from .fuzzy_rules import FuzzyRule, FuzzyRules, RuleBase
+from .measuring_tour import Measurement, MeasuringTour, MeasuringTourConfig, TourState, tour_step
 
 __all__ = [
     "AvoidanceConfig",
@@ -16,7 +17,11 @@ __all__ = [
     "FuzzyObstacleAvoidance",
     "FuzzyRule",
     "FuzzyRules",
+    "Measurement",
+    "MeasuringTour",
+    "MeasuringTourConfig",
     "RuleBase",
+    "TourState",
     "blend",
     "braked",
     "free_arc",
@@ -24,5 +29,6 @@ __all__ = [
     "goal_error",
     "perceive",
     "read_behaviors",
+    "tour_step",
     "update_weights",
 ]

@@ -1,7 +1,14 @@
 """Examples of the behaviours for the contract test."""
 
 import numpy as np
-from naraha.systems.behaviors import BehaviorCoordinator, FuzzyGoalSeeking, FuzzyObstacleAvoidance, read_behaviors
+from naraha.systems.behaviors import (
+    BehaviorCoordinator,
+    FuzzyGoalSeeking,
+    FuzzyObstacleAvoidance,
+    MeasuringTour,
+    MeasuringTourConfig,
+    read_behaviors,
+)
 from naraha.systems.sensing import Scan
 from open3d.t.geometry import PointCloud
 from pydrake.math import RigidTransform
@@ -39,8 +46,15 @@ def coordination(seed: int) -> tuple[System, LeafSystem]:
     )
 
 
+def measuring_tour(seed: int) -> tuple[System, LeafSystem]:
+    route = np.array([[2.0, 0.0], [4.0, 0.1 * seed]])
+    tour = MeasuringTour(MeasuringTourConfig(), route, np.array([1]))
+    return with_inputs(tour, X_MB=RigidTransform([1.0, 0, 0]), illuminance=np.array([120.0 + seed]))
+
+
 BEHAVIOR_EXAMPLES = {
     "BehaviorCoordinator": coordination,
     "FuzzyGoalSeeking": goal_seeking,
     "FuzzyObstacleAvoidance": obstacle_avoidance,
+    "MeasuringTour": measuring_tour,
 }
