@@ -50,7 +50,7 @@ class RecoverScenario(SnakeMovesConfig):
     attempts: int = quantity(4, low=1)
     duration: float = quantity(120.0, unit="s", above=0.0)
     recording: RecordingConfig | None = field(
-        default_factory=lambda: RecordingConfig(camera=[0.2, -2.6, 1.4], target=[0.0, 0.3, 0.0])
+        default_factory=lambda: RecordingConfig(camera=[-0.1, -1.35, 0.95], target=[-0.15, 0.5, 0.2])
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from naraha.models.worlds import World
+from naraha.systems.display.picture_board import PictureBoard, PictureBoardConfig
 from naraha.systems.display.snake_display import SnakeDisplay, SnakeDisplayConfig
 from naraha.systems.snake import NullSpaceConfig, NullSpaceRecovery, ShiftControl, ShiftControlConfig, SnakeBody
 from naraha.systems.snake.actuator_faults import ActuatorFaults, ActuatorFaultsConfig
@@ -53,7 +54,8 @@ def make_snake_moves(
 
     Input: `move` (`Move`). Outputs: every output of every part as "<part>.<port>". Parts: `station`, `actuators`,
     `pilot`, `shift`, `recovery`, and, when the station has all its sensors, `speed`, `detector` and `planner`, and with
-    a Meshcat `display`. What is not the station reads the joint angles that the actuators report.
+    a Meshcat `display`; with a Meshcat and cameras `head_board` and `tail_board`. What is not the station reads the
+    joint angles that the actuators report.
     """
     builder = DiagramBuilder()
     body = snake_body(config)
@@ -84,6 +86,11 @@ def make_snake_moves(
         _add_detection(config, builder, station, body)
         if meshcat is not None:
             _add_display(config, builder, station, meshcat)
+    if config.cameras is not None and meshcat is not None:
+        for end, x in (("head", 0.2), ("tail", -1.2)):
+            board = PictureBoard(PictureBoardConfig(xyz=[x, 1.3, 0.75]), meshcat, path=f"images/{end}")
+            builder.AddNamedSystem(f"{end}_board", board)
+            connect(builder, station, f"{end}_image", board, "image")
     export_outputs(builder)
     diagram = builder.Build()
     diagram.set_name("snake_moves")

@@ -121,10 +121,16 @@ def make_snake_station(
         _apply_imu(config.imu, plant, builder, seed)
     if config.pads is not None:
         _apply_pads(config.pads, config.snake.units, plant, scene_graph, builder, seed)
-    if config.ranges is not None:
-        _apply_ranges(config.ranges, config.snake, world, plant, scene_graph, builder, seed)
-    if config.cameras is not None:
-        _apply_cameras(config.cameras, world, plant, scene_graph, builder, seed)
+    if config.ranges is not None or config.cameras is not None:
+        # The robot itself is left out: no range sensor looks at it, and every moving link would need a ray scene of its
+        # own, of which Open3D can hold about a thousand in one process.
+        fixed = welded_frames(plant, plant.world_body())
+        inspector, surfaces = scene_graph.model_inspector(), world.surface_table()
+        scene = RayScene(inspector, surfaces, fixed_frames=fixed, exclude=["robot::*"])
+        if config.ranges is not None:
+            _apply_ranges(config.ranges, config.snake, scene, plant, builder, seed)
+        if config.cameras is not None:
+            _apply_cameras(config.cameras, scene, plant, scene_graph, builder, seed)
     margin = TipOverMargin(config.tip_over_margin, plant=plant, model=model)
     builder.AddNamedSystem("tip_over_margin", margin)
     connect(builder, plant, "contact_results", margin)
@@ -162,16 +168,13 @@ def _apply_imu(config: ImuConfig, plant: MultibodyPlant, builder: DiagramBuilder
 
 def _apply_cameras(
     config: FisheyeCameraConfig,
-    world: World,
+    scene: RayScene,
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     builder: DiagramBuilder,
     seed: int,
 ) -> None:
-    fixed = welded_frames(plant, plant.world_body())
-    inspector = scene_graph.model_inspector()
-    scene = RayScene(inspector, world.surface_table(), fixed_frames=fixed)
-    colours = geometry_colours(scene, inspector)
+    colours = geometry_colours(scene, scene_graph.model_inspector())
     robot = plant.GetModelInstanceByName("robot")
     for end in ("head", "tail"):
         frame = plant.GetFrameByName(f"{end}_camera", robot)
@@ -207,16 +210,11 @@ def _apply_pads(
 def _apply_ranges(
     config: RangeSensorsConfig,
     snake: SnakeModel,
-    world: World,
+    scene: RayScene,
     plant: MultibodyPlant,
-    scene_graph: SceneGraph,
     builder: DiagramBuilder,
     seed: int,
 ) -> None:
-    # The robot itself is left out: no sensor looks at it.
-    fixed = welded_frames(plant, plant.world_body())
-    inspector, surfaces = scene_graph.model_inspector(), world.surface_table()
-    scene = RayScene(inspector, surfaces, fixed_frames=fixed, exclude=["robot::*"])
     shape = HalfShape(length=snake.half_length, belly=snake.belly_depth, side=snake.half_width)
     halves = half_bodies(plant, snake.units)
     ranges = RangeSensors(config, scene=scene, halves=halves, shape=shape, seed=sensor_seed(seed, "ranges"))

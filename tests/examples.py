@@ -218,6 +218,7 @@ EXAMPLES: dict[str, Example] = {
             "TipOverMargin",
         )
     },
+    "PictureBoard": lambda seed: find(moving_snake(seed, Meshcat()), "PictureBoard"),
     "SnakeDisplay": lambda seed: find(moving_snake(seed, Meshcat()), "SnakeDisplay"),
     "NullSpaceRecovery": lambda seed: find(controlled_snake(), "NullSpaceRecovery"),
     "ShiftControl": lambda seed: find(controlled_snake(), "ShiftControl"),

@@ -15,6 +15,7 @@ from ..snake.actuator_faults import ActuatorReport
 from ..snake.posture import belly_loads, half_poses, nearest_by_half
 from ..snake.recovery_motion import RecoveryCommand
 from ..snake.stuck_rules import Diagnosis
+from .picture_board import lettering, picture_mesh
 
 # Colour of every mode, so that it is never mistaken.
 MODE_COLOURS = {
@@ -24,6 +25,10 @@ MODE_COLOURS = {
     "relax": Rgba(0.9, 0.7, 0.1, 1.0),
     "recover": Rgba(0.85, 0.1, 0.1, 1.0),
 }
+
+_ALARM = Rgba(0.6, 0.0, 0.25, 1.0)
+_BOARD_WIDTH = 0.6
+"""[m] of what is written."""
 
 
 @dataclass(kw_only=True)
@@ -73,6 +78,7 @@ class _Shown:
 
     mode: str = ""
     errors: str = ""
+    error_boards: int = 0
     built: bool = False
 
 
@@ -101,8 +107,8 @@ class SnakeDisplay(LeafSystem):
     - `tip_margin` (1) [m]: a ball over the head, green to red.
     - `recovery_command` (`RecoveryCommand`): ends of the segment and the target, while it runs.
     - `diagnosis` (`Diagnosis`): a ring at the unit that is stuck.
-    - `mode` (str): as a button with large letters in the panel and as the colour of a bar along the robot.
-    - `actuator_report` (`ActuatorReport`): what is wrong with the actuators, in words, as a button.
+    - `mode` (str): in large letters on a board of its own colour over the robot, and as a button in the panel.
+    - `actuator_report` (`ActuatorReport`): what is wrong with the actuators, in words, on a board and as a button.
 
     Drawing is all that it does; a joint without an angle is drawn straight. Raises `ConfigError` on values out of
     range and `PortError` when a port is not connected or carries another type.
@@ -172,7 +178,9 @@ class SnakeDisplay(LeafSystem):
                 place = np.array([-config.half_length, sign * config.tread / 2, 0.0])
                 meshcat.SetTransform(path, RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2), place))
         meshcat.SetObject("snake/margin", Sphere(0.03), Rgba(0.1, 0.8, 0.1, 1.0))
-        meshcat.SetObject("snake/mode", Box(0.5, 0.04, 0.01), Rgba(0.5, 0.5, 0.5, 1.0))
+        for mode, colour in MODE_COLOURS.items():
+            meshcat.SetObject(f"snake/mode/{mode}", picture_mesh(lettering(mode.upper(), colour), _BOARD_WIDTH))
+            meshcat.SetProperty(f"snake/mode/{mode}", "visible", False, 0.0)
         meshcat.SetObject("snake/target", Sphere(0.025), Rgba(0.85, 0.1, 0.1, 0.8))
         meshcat.SetObject("snake/stuck", Sphere(0.09), Rgba(1.0, 0.5, 0.0, 0.35))
         for k in range(2):
@@ -224,15 +232,24 @@ class SnakeDisplay(LeafSystem):
             self._meshcat.SetTransform("snake/stuck", RigidTransform(place), time)
 
     def _show_words(self, shown: _Shown, mode: str, errors: str, X_WB: RigidTransform, time: float) -> _Shown:
-        self._meshcat.SetTransform("snake/mode", _above(X_WB, [-0.3, 0.0, 0.2]), time)
+        meshcat, boards = self._meshcat, shown.error_boards
+        for path, height in (("snake/mode", 0.42), ("snake/errors", 0.56)):
+            meshcat.SetTransform(path, _above(X_WB, [-0.3, 0.0, height]), time)
         if mode != shown.mode:
-            colour = MODE_COLOURS.get(mode, Rgba(0.5, 0.5, 0.5, 1.0))
-            rgba = [colour.r(), colour.g(), colour.b(), colour.a()]
-            self._meshcat.SetProperty("snake/mode", "color", rgba, time)
+            for path, visible in ((shown.mode, False), (mode, True)):
+                if path in MODE_COLOURS:
+                    meshcat.SetProperty(f"snake/mode/{path}", "visible", visible, time)
             self._swap_button(f"MODE: {shown.mode.upper()}" if shown.mode else "", f"MODE: {mode.upper()}")
         if errors != shown.errors:
             self._swap_button(shown.errors, errors)
-        return replace(shown, mode=mode, errors=errors)
+            if shown.errors:
+                meshcat.SetProperty(f"snake/errors/{boards - 1}", "visible", False, time)
+            if errors:
+                path, boards = f"snake/errors/{boards}", boards + 1
+                meshcat.SetObject(path, picture_mesh(lettering(errors, _ALARM), _BOARD_WIDTH))
+                meshcat.SetProperty(path, "visible", False, 0.0)
+                meshcat.SetProperty(path, "visible", True, time)
+        return replace(shown, mode=mode, errors=errors, error_boards=boards)
 
     def _swap_button(self, before: str, after: str) -> None:
         if before:

@@ -20,7 +20,8 @@ from .camera import CameraConfig, _Camera
 from .ray_scene import RayScene
 
 _GREY = (0.7, 0.7, 0.7)
-"""Colour of what has none."""
+_NOTHING = (0.06, 0.09, 0.16)
+"""Colours of what has none, and of what is not there."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -109,7 +110,7 @@ class FisheyeCameraConfig:
 
 
 def geometry_colours(scene: RayScene, inspector: SceneGraphInspector) -> np.ndarray:
-    """Colours (G + 1, 3) of the geometries of a scene, 0 to 1; the last, for rays that meet nothing, is black."""
+    """Colours (G + 1, 3) of the geometries of a scene, 0 to 1; the last, dark blue, is for rays that meet nothing."""
     found: dict[str, tuple[float, float, float]] = {}
     for geometry in inspector.GetAllGeometryIds(Role.kPerception) + inspector.GetAllGeometryIds(Role.kIllustration):
         for properties in (inspector.GetPerceptionProperties(geometry), inspector.GetIllustrationProperties(geometry)):
@@ -117,7 +118,7 @@ def geometry_colours(scene: RayScene, inspector: SceneGraphInspector) -> np.ndar
                 rgba: Any = properties.GetProperty("phong", "diffuse")
                 rgba = rgba if isinstance(rgba, Rgba) else Rgba(*rgba)
                 found.setdefault(inspector.GetName(geometry), (rgba.r(), rgba.g(), rgba.b()))
-    return np.array([*(found.get(name, _GREY) for name in scene.names), (0.0, 0.0, 0.0)], np.float32)
+    return np.array([*(found.get(name, _GREY) for name in scene.names), _NOTHING], np.float32)
 
 
 def render_fisheye(
@@ -130,7 +131,7 @@ def render_fisheye(
     config: FisheyeCameraConfig,
     X_WF: Mapping[FrameId, RigidTransform] | None = None,
 ) -> np.ndarray:
-    """What an operator sees, (H, W, 4) uint8 RGBA; black outside the disc and where there is nothing.
+    """What an operator sees, (H, W, 4) uint8 RGBA; black outside the disc.
 
     A surface has the brightness a + (1 - a) cos β / (1 + (r / r₀)²) times its colour, with the share a of even light,
     the angle of incidence β, the distance r and `lamp_range` r₀: a headlamp without shadows, since lamp and lens are at
@@ -173,7 +174,7 @@ class FisheyeCamera(_Camera):
 
     Args:
         config: image, light and timing.
-        scene: geometry that is seen, the robot's own with it.
+        scene: geometry that is seen.
         colours: of its geometries, as from `geometry_colours`.
         parent_frame: SceneGraph frame P that the camera is fixed to.
         X_PC: pose of the camera in P, its frame as in `CameraModel`.

@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
+from naraha.diagrams.recover import RecoverScenario, make_recover
 from naraha.systems.display.snake_display import (
     MODE_COLOURS,
     SnakeDisplayConfig,
     errors_in_words,
     force_colour,
 )
-from naraha.systems.snake.actuator_faults import ActuatorReport
+from naraha.systems.snake.actuator_faults import ActuatorFaultsConfig, ActuatorReport, Fault
 from naraha.systems.snake.posture import half_poses, tilt_rotation
 from naraha.systems.snake.snake_pilot import MOVES
 from pydrake.geometry import Meshcat
@@ -60,7 +61,8 @@ def shown():
 
 
 def test_body_pads_ranges_and_margin_are_drawn(shown):
-    for path in ("half/0/body", "half/19/range/0", "half/18/wheel/1", "margin", "mode", "target", "stuck", "segment/1"):
+    drawn = ("half/0/body", "half/19/range/0", "half/18/wheel/1", "margin", "target", "stuck", "segment/1")
+    for path in (*drawn, *(f"mode/{mode}" for mode in MOVES)):
         assert shown.HasPath(f"snake/{path}"), path
 
 
@@ -68,6 +70,28 @@ def test_the_mode_is_a_button_in_large_letters(shown):
     assert shown.GetButtonClicks("MODE: WHEELS") == 0
     with pytest.raises(RuntimeError):
         shown.GetButtonClicks("MODE: HOLD")
+
+
+def test_what_the_cameras_at_head_and_tail_see_is_shown(shown):
+    # The picture that is shown at t = 0 is none yet, the first follows a second later.
+    assert not shown.HasPath("images/head/0")
+    root = moving_snake(3, shown)
+    Simulator(root).AdvanceTo(1.05)
+    assert shown.HasPath("images/head/0")
+    assert shown.HasPath("images/tail/0")
+
+
+def test_a_fault_is_written_out():
+    meshcat = Meshcat()
+    scenario = RecoverScenario(
+        stuck=1, recording=None, actuators=ActuatorFaultsConfig(faults=[Fault(joint="y8", kind="dead", time=0.2)])
+    )
+    _, run = make_recover(scenario, meshcat)
+    run.advance(0.15)
+    assert not meshcat.HasPath("snake/errors/0")
+    run.advance(0.3)
+    assert meshcat.HasPath("snake/errors/0")
+    assert meshcat.GetButtonClicks("y8: dead") == 0
 
 
 def test_the_configuration_has_the_shipped_robot_in_it():
