@@ -21,6 +21,7 @@ from rich.progress import Progress, TextColumn
 from .ability_trials import Interval, TrialConfig, drive, find_interval
 from .ability_worlds import GROUNDS, LENGTH
 from .mission import Ending, Mission, Options, stop_flag
+from .primitive_trials import PrimitiveTrials
 from .robot_files import robot_file
 from .scenario import load_scenario
 from .station import StationConfig
@@ -44,6 +45,8 @@ class CalibrateScenario(StationConfig):
     # Seed of starts, headings, friction and ridges.
     seed: int = quantity(0, low=0)
     trials: TrialConfig = field(default_factory=TrialConfig)
+    # How the motions of route learning are tried (`--kind primitives`).
+    primitives: PrimitiveTrials = field(default_factory=PrimitiveTrials)
     # Rectangles in which the robot will look at the ground.
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     # What is not found by driving: footprint, speeds, coverage and risk limit. What is, is replaced.

@@ -45,6 +45,7 @@ def survey(
     earlier: Annotated[
         Path | None, typer.Option("--earlier", metavar="DIR", help="A survey to bring up to date.")
     ] = None,
+    operator: Annotated[str | None, typer.Option("--operator", help="Who chooses the ways: auto or prompt.")] = None,
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -61,6 +62,10 @@ def survey(
     loaded = load_scenario(SurveyScenario, scenario, settings or (), seed)
     if earlier is not None:
         loaded.earlier = str(earlier)
+    if operator is not None:
+        if loaded.loop is None:
+            raise InputError("a tour has no ways to choose", where="--operator", value=operator, valid="stair_hall_loop")
+        loaded.loop.survey.operator = operator
     raise typer.Exit(run(loaded, options))
 
 
@@ -90,6 +95,7 @@ def traverse(
 @app.command()
 def calibrate(
     robot: Annotated[str, typer.Option("--robot", help="pioneer, amphibious or crawler.")] = "pioneer",
+    kind: Annotated[str, typer.Option("--kind", help="ability, or primitives: the motions of routes.")] = "ability",
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -97,9 +103,14 @@ def calibrate(
     """Drive a robot over ever harder ground, and write down what it can do."""
     from .calibrate import calibrate as run
     from .calibrate import load_calibrate
+    from .calibrate_primitives import calibrate_primitives
     from .mission import Options
 
-    raise typer.Exit(run(load_calibrate(robot, settings or (), seed), Options(out=out or Path("out/calibrate"))))
+    kinds = {"ability": run, "primitives": calibrate_primitives}
+    if kind not in kinds:
+        raise InputError("unknown calibration", where="--kind", value=kind, valid=sorted(kinds))
+    options = Options(out=out or Path("out/calibrate"))
+    raise typer.Exit(kinds[kind](load_calibrate(robot, settings or (), seed), options))
 
 
 @app.command()

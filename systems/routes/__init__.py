@@ -12,6 +12,7 @@ from .policy import RollOut, RoutePolicy, roll_out
 from .policy_files import PolicyFileError, read_policy, write_policy
 from .policy_lookup import PolicyLookup, looked_up
 from .policy_reuse import reuse_values
+from .primitives import Ground, Outcome, Primitives, motion_model, outcome_of, read_primitives, write_primitives
 from .q_learning import Learned, Learning, LearningConfig, advance, begin, learn, learn_many, paper_learning
 from .route import Route
 from .route_config import RoutesConfig, SmoothingConfig
@@ -44,14 +45,17 @@ __all__ = [
     "FrontierConfig",
     "GridRouteEnv",
     "GridRouteVectorEnv",
+    "Ground",
     "Learned",
     "Learning",
     "LearningConfig",
     "LearningProgress",
     "LoopState",
     "MotionModel",
+    "Outcome",
     "PolicyFileError",
     "PolicyLookup",
+    "Primitives",
     "RewardConfig",
     "RollOut",
     "Route",
@@ -91,10 +95,13 @@ __all__ = [
     "make_route_grid",
     "make_voxels",
     "merge_voxels",
+    "motion_model",
     "optimality_gap",
+    "outcome_of",
     "paper_learning",
     "paper_rewards",
     "read_policy",
+    "read_primitives",
     "read_routes",
     "register_environments",
     "reuse_values",
@@ -104,5 +111,6 @@ __all__ = [
     "smooth_path",
     "solve",
     "write_policy",
+    "write_primitives",
     "write_routes",
 ]
