@@ -89,15 +89,14 @@ def tour_step(
         time: now [s]. position: (2,) where the robot believes to be [m]. reading: of the meter [lux].
         route: (p, 2) points to drive to, in order [m]. stops: (n,) rising indices of those at which it measures.
     """
-    if state.since is None:
-        state = replace(state, since=time)
-    assert state.since is not None
+    since = time if state.since is None else state.since
+    state = replace(state, since=since)
     if state.index >= len(route):
         return state
     stop = int(np.searchsorted(stops, state.index))
     measures = stop < len(stops) and stops[stop] == state.index
     if state.stopped:
-        waited = time - state.since
+        waited = time - since
         if waited >= config.settle_time - 1e-9:
             state = replace(state, readings=(*state.readings, reading))
         if waited < config.settle_time + config.dwell_time - 1e-9:
@@ -110,7 +109,7 @@ def tour_step(
         return replace(state, stopped=True, since=time, readings=())
     if not measures and (away <= config.pass_radius or _is_past(position, state.index, route)):
         return _next(state, time)
-    if time - state.since > config.patience:
+    if time - since > config.patience:
         given_up = (*state.given_up, stop) if measures else state.given_up
         return _next(replace(state, given_up=given_up), time)
     return state

@@ -5,6 +5,7 @@ from .camera_model import R_OPTICAL, CameraModel
 from .depth_camera import DepthCamera, DepthCameraConfig
 from .deskew import deskew, interpolate_pose
 from .gamma_counter import DoseReading, GammaCounter, GammaCounterConfig
+from .illuminance_field import IlluminanceField, fit_field
 from .illuminance_meter import IlluminanceMeter, IlluminanceMeterConfig
 from .imu import Imu, ImuConfig
 from .lamps import Emitters, Lamp, Window, illuminance, make_emitters
@@ -31,6 +32,7 @@ __all__ = [
     "Emitters",
     "GammaCounter",
     "GammaCounterConfig",
+    "IlluminanceField",
     "IlluminanceMeter",
     "IlluminanceMeterConfig",
     "Imu",
@@ -58,6 +60,7 @@ __all__ = [
     "Window",
     "associate",
     "deskew",
+    "fit_field",
     "illuminance",
     "interpolate_pose",
     "list_scans",
