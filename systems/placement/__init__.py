@@ -1,6 +1,42 @@
 """Where a robot that must know its place goes, and where it needs landmarks: floor plans, topology, co-evolution."""
 
+from .candidate_sites import SiteConfig, find_sites, initial_route
+from .evolve import EvolutionConfig, Placement, evolve, placement_of
+from .exact_order import shortest_order
+from .exact_sites import FewestSites, fewest_sites
 from .floor_plan import FloorPlan, plan_from_image, plan_from_walls
+from .information import InformationConfig, scans_along
+from .landmarks import LandmarkConfig, LandmarkMap, find_landmarks
 from .plan_files import PlanFile, read_floor_plan
+from .problem import PlacementProblem, ProblemConfig, make_problem, problem_with
+from .topology import Topology, TopologyConfig, grow_topology
 
-__all__ = ["FloorPlan", "PlanFile", "plan_from_image", "plan_from_walls", "read_floor_plan"]
+__all__ = [
+    "EvolutionConfig",
+    "FewestSites",
+    "FloorPlan",
+    "InformationConfig",
+    "LandmarkConfig",
+    "LandmarkMap",
+    "Placement",
+    "PlacementProblem",
+    "PlanFile",
+    "ProblemConfig",
+    "SiteConfig",
+    "Topology",
+    "TopologyConfig",
+    "evolve",
+    "fewest_sites",
+    "find_landmarks",
+    "find_sites",
+    "grow_topology",
+    "initial_route",
+    "make_problem",
+    "placement_of",
+    "plan_from_image",
+    "plan_from_walls",
+    "problem_with",
+    "read_floor_plan",
+    "scans_along",
+    "shortest_order",
+]
