@@ -10,6 +10,7 @@ from .follow_kernels import follow, route_length, sides_seen
 from .memetic_evolution import evolve_together
 from .paper_kernels import evolve_as_published
 from .problem import PlacementProblem, sites_of, word_of
+from .random_kernels import seeded
 
 
 @dataclass(kw_only=True)
@@ -99,7 +100,7 @@ def evolve(
     if config.preset == "paper":
         curve, evaluations = evolve_as_published(
             routes, sets, sites, problem.lengths, problem.sides(), config.generations, config.patience, config.flip,
-            least, rng,
+            least, seeded(config.seed),
         )  # fmt: skip
     else:
         weights = np.array([config.landmark_worth, 0.0, config.calm_worth, config.longest or np.inf, 1e3])

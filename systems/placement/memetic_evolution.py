@@ -8,6 +8,7 @@ from .follow_kernels import bits_set, route_length, sides_seen
 from .memetic_kernels import cost_table, improve_route, improve_sites, shorten
 from .paper_kernels import vary_route, vary_sites
 from .problem import PlacementProblem
+from .random_kernels import seeded
 
 if TYPE_CHECKING:
     from .evolve import EvolutionConfig
@@ -38,26 +39,27 @@ def evolve_together(
         of evaluations.
     """
     tables, sides, sites = problem.tables(), problem.sides(), len(problem.sites)
+    state = seeded(config.seed)
     routes, sets = routes.copy(), sets.copy()
     for order in routes:
         shorten(order, problem.lengths)
     routes = routes[np.argsort([route_length(order, problem.lengths) for order in routes], kind="stable")]
-    sets[0], best, evaluations = improve_sites(routes[0], sets[0], least, tables, weights, rng)
+    sets[0], best, evaluations = improve_sites(routes[0], sets[0], least, tables, weights, state)
     pair = (routes[0].copy(), sets[0])
     curve, still = [], 0
     for _ in range(config.generations):
         children = [*routes.copy(), *routes[rng.integers(len(routes), size=len(routes))]]
         for k, order in enumerate(children[len(routes) :]):
             for _ in range(1 + rng.integers(3)):
-                vary_route(order, rng)
+                vary_route(order, state)
             if k % 2:
                 shorten(order, problem.lengths)
         all_routes = np.unique(np.array([pair[0], *children]), axis=0)
         mothers = sets[rng.integers(len(sets), size=(len(sets), 2))]
-        young = [vary_sites(a, b, sites, config.flip, least, rng) for a, b in mothers]
-        young[0], _, more = improve_sites(pair[0], young[0], least, tables, weights, rng)
+        young = [vary_sites(a, b, sites, config.flip, least, state) for a, b in mothers]
+        young[0], _, more = improve_sites(pair[0], young[0], least, tables, weights, state)
         other = routes[rng.integers(len(routes))]
-        young[1], _, again = improve_sites(other, young[1], least, tables, weights, rng)
+        young[1], _, again = improve_sites(other, young[1], least, tables, weights, state)
         all_sets = np.unique(np.array([pair[1], *sets, *young]))
         route_costs = cost_table(all_routes, np.array([pair[1], *sets[: _PARTNERS - 1]]), tables, weights)
         set_costs = cost_table(np.array([pair[0], *routes[: _PARTNERS - 1], other]), all_sets, tables, weights)
@@ -72,10 +74,10 @@ def evolve_together(
         # A route near the best one, or of the population, improved together with the set.
         near = pair[0].copy() if still % 2 else routes[rng.integers(len(routes))].copy()
         for _ in range(1 + rng.integers(3)):
-            vary_route(near, rng)
+            vary_route(near, state)
         start = pair[1] if rng.random() < 0.5 else word
         near_cost, near_word, more = improve_route(near, start, least, tables, weights)
-        near_word, near_cost, again = improve_sites(near, near_word, least, tables, weights, rng)
+        near_word, near_cost, again = improve_sites(near, near_word, least, tables, weights, state)
         evaluations += more + again
         if near_cost < cost:
             candidate, word, cost = near, near_word, near_cost

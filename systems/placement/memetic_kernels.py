@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from .follow_kernels import Tables, Word, bits_set, follow, route_length
+from .random_kernels import shuffled
 
 
 @njit(cache=True)
@@ -87,7 +88,7 @@ def _move_piece(order: np.ndarray, a: int, size: int, lengths: np.ndarray) -> bo
 
 @njit(cache=True)
 def improve_sites(
-    order: np.ndarray, chosen: Word, least: int, tables: Tables, weights: np.ndarray, rng: np.random.Generator
+    order: np.ndarray, chosen: Word, least: int, tables: Tables, weights: np.ndarray, rng: np.ndarray
 ) -> tuple[Word, float, int]:
     """Improves a set of sites for a route: adds the site that lowers the cost most until none does, then drops and
     swaps sites in random order while that lowers it.
@@ -110,11 +111,11 @@ def improve_sites(
             break
         chosen |= np.int64(1) << site
         cost = best
-    shuffled = rng.permutation(sites)
+    places = shuffled(rng, sites)
     better = True
     while better:
         better = False
-        for s in shuffled:
+        for s in places:
             if not (chosen >> s) & 1:
                 continue
             without = chosen & ~(np.int64(1) << s)
@@ -124,7 +125,7 @@ def improve_sites(
                 if other < cost - 1e-9:
                     chosen, cost, better = without, other, True
                     continue
-            for t in shuffled:
+            for t in places:
                 if (chosen >> t) & 1:
                     continue
                 swapped = without | (np.int64(1) << t)

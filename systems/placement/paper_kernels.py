@@ -4,43 +4,58 @@ import numpy as np
 from numba import njit
 
 from .follow_kernels import Sides, Word, bits_set, route_length, sides_seen
+from .random_kernels import draw, uniform
 
 
 @njit(cache=True)
-def vary_route(order: np.ndarray, rng: np.random.Generator) -> None:
+def vary_route(order: np.ndarray, rng: np.ndarray) -> None:
     """One of the paper's three operators: swap two, move one before another, swap neighbours."""
     n = len(order)
     if n < 2:
         return
-    kind = rng.integers(0, 3)
-    a, b = rng.integers(0, n), rng.integers(0, n)
+    kind = draw(rng, 3)
+    a, b = draw(rng, n), draw(rng, n)
     if kind == 0:
         order[a], order[b] = order[b], order[a]
     elif kind == 1:
         moved = order[a]
         if a < b:
-            order[a : b - 1] = order[a + 1 : b].copy()
+            for k in range(a, b - 1):
+                order[k] = order[k + 1]
             order[b - 1] = moved
         else:
-            order[b + 1 : a + 1] = order[b:a].copy()
+            for k in range(a, b, -1):
+                order[k] = order[k - 1]
             order[b] = moved
     else:
-        a = rng.integers(0, n - 1)
+        a = draw(rng, n - 1)
         order[a], order[a + 1] = order[a + 1], order[a]
 
 
 @njit(cache=True)
-def vary_sites(one: Word, other: Word, sites: int, flip: float, least: int, rng: np.random.Generator) -> Word:
+def vary_sites(one: Word, other: Word, sites: int, flip: float, least: int, rng: np.ndarray) -> Word:
     """Uniform crossover of two sets of sites, a flip of a random one with probability `flip`, and random ones added
     until there are `least`."""
     child = np.int64(0)
     for s in range(sites):
-        child |= (one if rng.random() < 0.5 else other) & (np.int64(1) << s)
-    if rng.random() < flip:
-        child ^= np.int64(1) << rng.integers(0, sites)
+        child |= (one if uniform(rng) < 0.5 else other) & (np.int64(1) << s)
+    if uniform(rng) < flip:
+        child ^= np.int64(1) << draw(rng, sites)
     while bits_set(child) < least:
-        child |= np.int64(1) << rng.integers(0, sites)
+        child |= np.int64(1) << draw(rng, sites)
     return child
+
+
+@njit(cache=True)
+def _from_best(score: np.ndarray) -> np.ndarray:
+    """Indices of scores (n,) from the highest; equals stay in their order."""
+    order = np.arange(len(score))
+    for k in range(1, len(order)):
+        at = k
+        while at > 0 and score[order[at]] > score[order[at - 1]]:
+            order[at], order[at - 1] = order[at - 1], order[at]
+            at -= 1
+    return order
 
 
 @njit(cache=True)
@@ -54,7 +69,7 @@ def evolve_as_published(
     patience: int,
     flip: float,
     least: int,
-    rng: np.random.Generator,
+    rng: np.ndarray,
 ) -> tuple[np.ndarray, int]:
     """Evolves routes (N, n) and sets (M,) of sites in place, the best first.
 
@@ -75,10 +90,10 @@ def evolve_as_published(
     for g in range(generations):
         all_routes[:n], all_sets[:m] = routes, sets
         for k in range(n):
-            all_routes[n + k] = routes[rng.integers(0, n)]
+            all_routes[n + k] = routes[draw(rng, n)]
             vary_route(all_routes[n + k], rng)
         for k in range(m):
-            all_sets[m + k] = vary_sites(sets[rng.integers(0, m)], sets[rng.integers(0, m)], sites, flip, least, rng)
+            all_sets[m + k] = vary_sites(sets[draw(rng, m)], sets[draw(rng, m)], sites, flip, least, rng)
         metres = np.empty(2 * n)
         score = np.zeros(2 * n)
         for i in range(2 * n):
@@ -94,7 +109,7 @@ def evolve_as_published(
                 value[j] += sides_seen(routes[i], all_sets[j], points, sides)
             value[j] *= 1.0 - bits_set(all_sets[j]) / sites
         evaluations += 4 * n * m
-        best_routes, best_sets = np.argsort(-score, kind="mergesort"), np.argsort(-value, kind="mergesort")
+        best_routes, best_sets = _from_best(score), _from_best(value)
         same = all_sets[best_sets[0]] == sets[0] and (all_routes[best_routes[0]] == routes[0]).all()
         for k in range(n):
             routes[k] = all_routes[best_routes[k]]
