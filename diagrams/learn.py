@@ -17,9 +17,11 @@ from naraha.systems.routes import (
     RouteTask,
     VoxelWorldConfig,
     begin,
+    deterministic,
     find_routes,
     learn,
     make_route_grid,
+    motion_model,
     paper_learning,
     paper_rewards,
     read_policy,
@@ -30,7 +32,7 @@ from naraha.systems.routes import (
 from naraha.systems.sensing import read_scan
 
 from .mission import Ending, Mission, Options, stop_flag
-from .robot_files import robot_ability
+from .robot_files import robot_ability, robot_primitives
 from .scenario import load_scenario
 
 
@@ -42,6 +44,9 @@ class LearnScenario:
     seed: int = quantity(0, low=0)
     # Robot whose ability says what ground it drives over; an empty name takes the floor as flat, as the paper does.
     robot: str = "crawler"
+    # "measured": what motions lead to is what they came to for the robot in physics (`naraha calibrate --kind
+    # primitives`); "exact": every motion does what it says, as in the paper.
+    motions: str = quantity("exact", choices=("exact", "measured"))
     # x, y [m] and heading [deg] at the start, and x, y of the goal [m], in the frame of the map.
     start: list[float] = quantity([], unit="m, m, deg")
     goal: list[float] = quantity([], unit="m")
@@ -89,7 +94,9 @@ def learn_routes(map_file: Path, scenario: LearnScenario, options: Options) -> i
     rewards = paper_rewards() if paper else scenario.rewards
     config = paper_learning() if paper else scenario.learning
     goal = (scenario.goal[0], scenario.goal[1])
-    task = RouteTask(grid, goal, rewards)
+    measured = scenario.motions == "measured"
+    motion = motion_model(robot_primitives(scenario.robot), grid.cell) if measured else deterministic()
+    task = RouteTask(grid, goal, rewards, motion)
     x, y, heading = scenario.start
     pose = np.array([x, y, np.deg2rad(heading)])
     state = task.state_of(pose)

@@ -1,10 +1,14 @@
-"""What lies beside the model of a robot: what it brings along to a station, and what it can drive over."""
+"""What lies beside the model of a robot: what it brings along to a station, what it can drive over, its motions."""
 
 from pathlib import Path
 
 from naraha.models import MODELS_DIR
 from naraha.systems.errors import ScenarioError
+from naraha.systems.routes import Primitives, read_primitives
 from naraha.systems.traversability import Ability, read_ability
+
+# Files beside a model that are no ability.
+_OTHERS = ("station", "primitives")
 
 
 def robot_file(robot: str) -> Path:
@@ -24,9 +28,22 @@ def robot_ability(model: str, name: str = "ability") -> Ability:
     """
     folder = next((path.parent for path in MODELS_DIR.glob(f"*/{model}.urdf")), MODELS_DIR / model)
     path = folder / f"{name}.yaml"
-    if path.is_file() and name != "station":
+    if path.is_file() and name not in _OTHERS:
         return read_ability(path)
     if not Path(name).is_file():
-        valid = [*sorted(p.stem for p in folder.glob("*.yaml") if p.stem != "station"), "a YAML file"]
+        valid = [*sorted(p.stem for p in folder.glob("*.yaml") if p.stem not in _OTHERS), "a YAML file"]
         raise ScenarioError(f"no such ability of '{model}'", key="ability", value=name, valid=valid)
     return read_ability(Path(name))
+
+
+def robot_primitives(model: str) -> Primitives:
+    """What the motions of route learning come to for a shipped model of a robot, as measured.
+
+    Raises:
+        ScenarioError: they were not measured. ConfigError: the file cannot be used.
+    """
+    path = next((path.parent for path in MODELS_DIR.glob(f"*/{model}.urdf")), MODELS_DIR / model) / "primitives.yaml"
+    if not path.is_file():
+        valid = sorted(path.parent.name for path in MODELS_DIR.glob("*/primitives.yaml"))
+        raise ScenarioError("no motions were measured", key="robot", value=model, valid=valid)
+    return read_primitives(path)

@@ -132,13 +132,15 @@ def _share(samples: np.ndarray, least: float) -> list[tuple[float, int, int, int
     """Outcomes of samples (N, 3) ahead [steps], left [steps], turn [45°], each shared between its 8 neighbours."""
     low = np.floor(samples + 1e-9)
     part = np.clip(samples - low, 0, 1)
+    corners = np.array(list(np.ndindex(2, 2, 2)))
+    shares = np.where(corners[:, None] == 1, part, 1 - part).prod(axis=2) / len(samples)
+    places, which = np.unique((low + corners[:, None]).reshape(-1, 3).astype(int), axis=0, return_inverse=True)
+    totals = np.bincount(which.ravel(), shares.ravel())
     weights: dict[tuple[int, int, int], float] = {}
-    for corner in np.ndindex(2, 2, 2):
-        share = np.where(corner, part, 1 - part).prod(axis=1) / len(samples)
-        for (ahead, left, turn), weight in zip((low + corner).astype(int).tolist(), share.tolist(), strict=True):
-            cells = max(abs(ahead), abs(left))
-            veer = round(float(np.arctan2(left, ahead) / (np.pi / 4))) if cells else 0
-            weights[cells, veer, turn] = weights.get((cells, veer, turn), 0.0) + weight
+    for (ahead, left, turn), weight in zip(places.tolist(), totals.tolist(), strict=True):
+        cells = max(abs(ahead), abs(left))
+        veer = round(float(np.arctan2(left, ahead) / (np.pi / 4))) if cells else 0
+        weights[cells, veer, turn] = weights.get((cells, veer, turn), 0.0) + weight
     kept = {outcome: weight for outcome, weight in weights.items() if weight >= least}
     total = sum(kept.values())
     return [(weight / total, *outcome) for outcome, weight in sorted(kept.items(), key=lambda item: -item[1])]

@@ -14,8 +14,8 @@ from ..files import replacing
 from .motion_model import ACTIONS, MotionModel, from_primitives
 from .route_grid import TERRAINS
 
-# Draws from each normal distribution: the mean of a motion is then right to 1 % of its spread.
-_DRAWS = 4000
+# Draws from each normal distribution, half of them mirrored so that its mean is exact.
+_DRAWS = 1000
 
 
 @dataclass(kw_only=True)
@@ -87,21 +87,21 @@ def motion_model(primitives: Primitives, cell: float, *, least: float = 0.005) -
     """The spread of outcomes on a grid with cells of edge `cell` [m] that follows from measured motions.
 
     A motion that did not come to its end is taken to have led nowhere. For a cell of another size than the measured
-    step, ways and their errors are taken in proportion.
+    step, steps and their errors are taken in proportion; how far a turn slides does not depend on the cell.
 
     Args:
         least: outcomes less likely than this are left out.
     """
     rng = np.random.default_rng(0)
     standard = rng.standard_normal((_DRAWS // 2, 3))
-    standard = np.vstack([standard, -standard])  # the mean of the draws is exact
-    scale = np.array([cell / primitives.step, cell / primitives.step, 1.0])
+    standard = np.vstack([standard, -standard])
     samples: dict[str, dict[str, list[np.ndarray]]] = {}
     for ground in primitives.grounds.values():
         for action, outcome in ground.motions.items():
             values, vectors = np.linalg.eigh(np.array(outcome.covariance))
             root = vectors * np.sqrt(np.maximum(values, 0.0))
-            drawn = (np.array(outcome.mean) + standard @ root.T) * scale
+            share = cell / primitives.step if action in ("forward", "back") else 1.0
+            drawn = (np.array(outcome.mean) + standard @ root.T) * np.array([share, share, 1.0])
             drawn[: round(outcome.failed * _DRAWS)] = 0.0
             samples.setdefault(ground.terrain, {}).setdefault(action, []).append(rng.permutation(drawn))
     joined = {terrain: {a: np.vstack(rows) for a, rows in motions.items()} for terrain, motions in samples.items()}

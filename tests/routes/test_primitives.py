@@ -2,7 +2,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from naraha.systems.errors import ConfigError
+from naraha.diagrams.robot_files import robot_primitives
+from naraha.systems.errors import ConfigError, ScenarioError
 from naraha.systems.routes import (
     ACTIONS,
     Ground,
@@ -72,10 +73,13 @@ def test_grounds_of_one_kind_count_equally_and_others_are_flat():
     assert model.outcomes("steps", "left") == model.outcomes("flat", "left")
 
 
-def test_a_smaller_cell_has_the_same_share_of_error():
+def test_a_smaller_cell_has_the_same_share_of_error_in_steps_but_not_in_turns():
     primitives = measured()
+    primitives.grounds["flat"].motions["left"] = Outcome(mean=[-0.1, 0, np.pi / 4])
     small, large = (np.array(motion_model(primitives, cell).outcomes("flat", "forward")) for cell in (0.1, 0.5))
     assert small == pytest.approx(large)
+    for cell, slid in ((0.1, 1.0), (0.5, 0.2)):
+        assert mean_motion(motion_model(primitives, cell), "flat", "left")[0] == pytest.approx(-slid)
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -109,3 +113,19 @@ def test_a_damaged_file_is_refused_by_its_place(tmp_path, change, words):
 def test_no_file_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="No such file"):
         read_primitives(tmp_path / "nothing.yaml")
+
+
+def test_the_crawler_s_motions_are_there_for_every_kind_that_was_driven():
+    primitives = robot_primitives("crawler")
+    assert primitives.robot == "crawler"
+    assert {ground.terrain for ground in primitives.grounds.values()} == {"flat", "slope", "rough"}
+    for ground in primitives.grounds.values():
+        assert list(ground.motions) == list(ACTIONS)
+        assert all(outcome.failed == 0 for outcome in ground.motions.values())
+    model = motion_model(primitives, 0.5)
+    assert model.outcomes("flat", "forward")[0][0] > 0.98
+    # Tracks that turn on a slope slide down it.
+    slides = sum(p for p, cells, _, _ in model.outcomes("slope", "left") if cells)
+    assert slides > 0.1
+    with pytest.raises(ScenarioError, match=r"no motions were measured.*crawler"):
+        robot_primitives("pioneer")
