@@ -108,6 +108,7 @@ class Mission:
         step: float,
         on_step: Callable[[Context], Ending | None],
         status_line: Callable[[Context], str],
+        bar: bool = True,
     ) -> Ending:
         """Advances until `on_step` returns an ending, `duration` [s] is over, Ctrl-C, or an error.
 
@@ -117,20 +118,20 @@ class Mission:
         """
         if self.options.realtime_rate > 0:
             simulator.set_target_realtime_rate(self.options.realtime_rate)
-        bar = Progress(
+        progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(),
             TextColumn("{task.completed:6.1f} s  {task.fields[line]}"),
             TimeElapsedColumn(),
             console=self.options.console,
             transient=True,
-            disable=not self.options.console.is_terminal,
+            disable=not (bar and self.options.console.is_terminal),
         )
         ending = None
         context = simulator.get_context()
         start = time.perf_counter()
-        with bar, stop_flag() as stopped:
-            task = bar.add_task(self.name, total=duration, line="")
+        with progress, stop_flag() as stopped:
+            task = progress.add_task(self.name, total=duration, line="")
             try:
                 simulator.Initialize()
                 ending = on_step(context)
@@ -140,7 +141,7 @@ class Mission:
                         break
                     simulator.AdvanceTo(min(i * step, duration))
                     ending = on_step(context)
-                    bar.update(task, completed=context.get_time(), line=status_line(context))
+                    progress.update(task, completed=context.get_time(), line=status_line(context))
                     if ending is None and stopped():
                         ending = Ending("interrupted", f"interrupted after {context.get_time():.1f} s")
             except KeyboardInterrupt:

@@ -13,10 +13,11 @@ from naraha.systems.slam import Odometry6Dof
 from naraha.systems.tracking import KanayamaTracking, WaypointTour
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from .fusion import add_detectors, add_fusion
-from .mission import Mission, Options
+from .mission import Ending, Mission, Options
+from .operator import Operator, Prompt
 from .recording import start_meshcat, write_recording
 from .slam import add_maps, add_matching, slam_metrics, write_occupancy
 from .station import X_B, make_station
@@ -124,13 +125,21 @@ def survey(scenario: SurveyScenario, options: Options) -> int:
     mission = Mission("survey", scenario, options)
     meshcat = start_meshcat(scenario.recording, live=options.meshcat) if scenario.recording is not None else None
     diagram = make_survey(scenario, meshcat)
-    log = SurveyLog(scenario, diagram)
+    log, simulator = SurveyLog(scenario, diagram), Simulator(diagram)
+    operator = Operator(diagram, simulator.get_mutable_context()) if scenario.loop is not None else None
+    asks = scenario.loop is not None and scenario.loop.survey.operator == "prompt"
+    prompt = Prompt(operator) if operator is not None and asks else None
+
+    def on_step(context: Context) -> Ending | None:
+        return log.step(context) or (prompt.step(context) if prompt is not None else None)
+
     ending = mission.simulate(
-        Simulator(diagram),
+        simulator,
         duration=scenario.duration,
         step=scenario.slam.period,
-        on_step=log.step,
+        on_step=on_step,
         status_line=log.status_line,
+        bar=prompt is None,
     )
 
     def write_metrics() -> None:

@@ -71,7 +71,7 @@ class SurveyLog(DiagramReader):
         if self._touches is None:
             return float(self.read("tour.waypoints_reached")[0])
         state = self.read("loop.survey")
-        return float(state.legs + len(state.views))
+        return float(state.legs + state.looks + len(state.views) + state.passed + state.closed)
 
     def _goal_in_words(self) -> str:
         if self._touches is None:

@@ -19,11 +19,9 @@ from naraha.systems.routes import (
     VoxelWorldConfig,
 )
 from naraha.systems.tracking import PathFollower, PathFollowerConfig
-from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 from scipy.ndimage import binary_dilation, label
 from scipy.spatial import KDTree
 
@@ -71,7 +69,8 @@ def add_loop(
 ) -> System:
     """Adds `world`, `learner`, `routes`, `follower`, `loop`, `mode_switch`, and `route_display` with a `meshcat`.
 
-    The operator is absent: the mode is "autonomous" and nobody chooses. Returns `loop`.
+    What the operator says comes in by inputs of the diagram, see `Operator`: `mode_command`, `teleoperation_twist`,
+    `teleoperation_time` and `choice`. Returns `loop`.
     """
     ability = robot_ability(model, config.ability)
     if config.max_step is not None:
@@ -91,6 +90,7 @@ def add_loop(
         connect(builder, loop, "goal", system)
     connect(builder, world, "route_grid", loop)
     connect(builder, world, "voxels", loop)
+    connect(builder, world, "interest", loop)
     connect(builder, slam, "X_MB", loop)
     connect(builder, learner, "learning", loop)
     connect(builder, routes, "routes", loop)
@@ -105,12 +105,11 @@ def add_loop(
     connect(builder, loop, "reference_pose", tracking)
     connect(builder, loop, "reference_twist", tracking)
     connect(builder, tracking, "twist_command", switch, "autonomous_twist")
-    mode = builder.AddNamedSystem("mode_command", ConstantValueSource(Value("autonomous")))
-    builder.Connect(mode.get_output_port(), switch.GetInputPort("mode_command"))
-    for name, value in (("teleoperation_twist", np.zeros(2)), ("teleoperation_time", np.full(1, -np.inf))):
-        source = builder.AddNamedSystem(name, ConstantVectorSource(value))
-        builder.Connect(source.get_output_port(), switch.GetInputPort(name))
+    for name in ("mode_command", "teleoperation_twist", "teleoperation_time"):
+        builder.ExportInput(switch.GetInputPort(name), name)
+    builder.ExportInput(loop.GetInputPort("choice"), "choice")
     connect(builder, switch, "twist_command", station)
+    connect(builder, switch, "mode", loop)
     if station.HasInputPort("flipper_preset"):
         connect(builder, loop, "flipper_preset", station)
     if meshcat is not None:
@@ -194,7 +193,7 @@ def loop_metrics(state: LoopState, touches: TouchCount) -> dict[str, float]:
     """Counts of legs and routes, of what was touched, and whether the robot is back."""
     return {
         "legs": state.legs,
-        "looks": len(state.views),
+        "looks": state.looks,
         "routes_offered": state.offered,
         "routes_closed": state.closed,
         "returned_home": int(state.returned),

@@ -21,7 +21,7 @@ from .route_grid import DOSE, FENCE, FREE, HOT, KINDS, OCCUPIED, TERRAINS, UNKNO
 from .route_learner import LearningProgress, RouteLearner, RouteLearnerConfig
 from .route_task import RewardConfig, RouteTask, paper_rewards
 from .survey_loop import SurveyLoop
-from .survey_steps import LoopState, SurveyLoopConfig
+from .survey_state import LoopState, SurveyLoopConfig
 from .value_iteration import Solution, expected_motions, expected_sum, optimality_gap, solve
 from .voxel_world import VoxelWorld
 from .voxels import Voxels, make_voxels

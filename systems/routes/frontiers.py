@@ -1,10 +1,10 @@
-"""Where to go next in a survey: the places from which most ground is looked at for the first time, for their way."""
+"""Where to go next in a survey: the looks that tell most for the time that they and the way to them take."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, minimum_filter
 
 from ..config import check_config, quantity
 from .ground import make_ground
@@ -16,6 +16,8 @@ from .view_kernels import mark_view, unseen_sectors
 from .voxels import Voxels
 
 _SECTORS, _RAYS = 36, 4
+# [m] The lowest ground within this distance is that which things stand on.
+_LOWEST = 1.0
 
 
 @dataclass(kw_only=True)
@@ -23,16 +25,21 @@ class FrontierConfig:
     """What one look shows, and when it is worth its time."""
 
     # [m] Distance up to which a look settles what is on the ground.
-    view_range: float = quantity(4.0, unit="m", above=0)
+    view_range: float = quantity(5.0, unit="m", above=0)
+    # [m] Nearer ground is below what the sensors see.
+    near_range: float = quantity(1.0, unit="m", low=0)
     # [deg] Field of view of a look: that of the depth camera (D415), which the sweep of the other cameras covers.
     fov_deg: float = quantity(69.0, unit="deg", above=0, high=360)
-    # [m²] Less unseen ground than this is not worth a look.
-    min_area: float = quantity(1.0, unit="m²", above=0)
+    # [bit m²], [bit m²/s] What a look must tell to be worth it, in all and for its time. Unseen ground tells 1 bit/m².
+    min_gain: float = quantity(2.0, unit="bit m²", above=0)
+    min_value: float = quantity(0.06, unit="bit m²/s", low=0)
+    # [bit] Ground with less interest is as good as known.
+    min_interest: float = quantity(0.3, unit="bit", low=0)
     # [m] What stands between these heights over the ground hides what is behind; lower things throw short shadows.
     hides_from: float = quantity(0.3, unit="m", low=0)
     hides_to: float = quantity(0.9, unit="m", above=0)
-    # [m] Ground is looked for within this distance of where the map knows some: not on the far side of walls.
-    beyond: float = quantity(1.0, unit="m", low=0)
+    # [m] Ground is expected up to this far from where the map knows some.
+    beyond: float = quantity(2.5, unit="m", low=0)
     # [m] Distance of the places that are compared.
     spacing: float = quantity(0.5, unit="m", above=0)
     # [m/s], [rad/s], [s] Speeds on the way, and what one look takes.
@@ -55,12 +62,13 @@ class ViewGoal:
     """A look that is worth it.
 
     Attributes:
-        view: where from. area: unseen ground that it shows [m²]. way: to there, weighted by the cost of the cells [m].
-        value: unseen ground for the time of way, turn and look [m²/s].
+        view: where from. gain: what it tells, interest times area [bit m²].
+        way: to there, weighted by the cost of the cells [m].
+        value: gain for the time of way, turn and look [bit m²/s].
     """
 
     view: View
-    area: float
+    gain: float
     way: float
     value: float
 
@@ -73,7 +81,10 @@ def hiding_cells(grid: RouteGrid, voxels: Voxels, config: FrontierConfig) -> np.
         return hiding
     inside = grid.contains(centres[:, :2])
     index, z = grid.index_of(centres[inside, :2]), centres[inside, 2]
-    ground = np.nan_to_num(grid.height[tuple(index.T)], nan=float(np.nanmedian(grid.height)))
+    # The lowest ground around: the top of a crate is ground in its own cell, and hides all the same.
+    reach = 2 * round(_LOWEST / grid.cell) + 1
+    low = minimum_filter(np.nan_to_num(grid.height, nan=np.inf), reach)
+    ground = np.where(np.isfinite(low), low, float(np.nanmedian(grid.height)))[tuple(index.T)]
     stands = (z - ground > config.hides_from) & (z - ground < config.hides_to)
     hiding[tuple(index[stands].T)] = True
     return hiding
@@ -84,9 +95,30 @@ def seen_cells(grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], confi
     seen, half = np.zeros(grid.shape, bool), 0.5 * np.deg2rad(config.fov_deg)
     for view in views:
         x, y = (np.array([view.x, view.y]) - grid.origin) / grid.cell
-        reach = config.view_range / grid.cell
-        mark_view(seen, hiding, float(x), float(y), view.heading - half, view.heading + half, reach)
+        near, reach = config.near_range / grid.cell, config.view_range / grid.cell
+        mark_view(seen, hiding, float(x), float(y), view.heading - half, view.heading + half, near, reach)
     return seen
+
+
+def open_questions(
+    grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], interest: np.ndarray | None, config: FrontierConfig
+) -> np.ndarray:
+    """What looks could tell of each cell [bit], (nx, ny) float32.
+
+    Nothing where a view has looked already, so a look that was taken is never proposed again and a survey comes to its
+    end, also where a look did not show what was hoped for; nothing behind walls, far from all ground that is known.
+    """
+    near = np.isfinite(grid.height)
+    if config.beyond > 0 and near.any():
+        near = binary_dilation(near, iterations=max(round(config.beyond / grid.cell), 1))
+    worth = np.ones(grid.shape, np.float32) if interest is None else np.asarray(interest, np.float32)
+    asked = near & ~hiding & (worth >= config.min_interest) & ~seen_cells(grid, hiding, views, config)
+    return np.where(asked, worth, np.float32(0))
+
+
+def gain_of(view: View, questions: np.ndarray, grid: RouteGrid, hiding: np.ndarray, config: FrontierConfig) -> float:
+    """What a look tells of the `open_questions` [bit m²]."""
+    return float(questions[seen_cells(grid, hiding, [view], config)].sum()) * grid.cell**2
 
 
 def find_goals(
@@ -96,16 +128,16 @@ def find_goals(
     views: Sequence[View],
     config: FrontierConfig | None = None,
     routes: RoutesConfig | None = None,
+    interest: np.ndarray | None = None,
 ) -> tuple[ViewGoal, ...]:
     """Looks that are worth it, one for each reachable place, the best first; none when nothing more is to be seen.
 
-    Ground is unseen where none of `views` shows it, known to the LiDAR or not, so a look that has been taken is never
-    proposed again and a survey comes to its end, also where a look did not show what was hoped for. Of the headings at
-    a place the one that shows most counts.
+    Of the headings at a place the one that tells most of the `open_questions` counts.
 
     Args:
         pose: (3,) x, y, heading in M [m, m, rad].
         hiding: (nx, ny) bool, see `hiding_cells`.
+        interest: (nx, ny) what a look at each cell would tell [bit], see `make_interest`; 1 everywhere without.
         routes: what ground can be driven over, as for `find_routes`.
 
     Raises:
@@ -120,31 +152,31 @@ def find_goals(
         int(start[0] * grid.shape[1] + start[1]), ground.weight, ground.moves, find_islands(grid).table, False
     )
     way = way.reshape(grid.shape) * grid.cell
-    near = np.isfinite(grid.height)
-    if config.beyond > 0 and near.any():
-        near = binary_dilation(near, iterations=max(round(config.beyond / grid.cell), 1))
-    unseen = near & ~hiding & ~seen_cells(grid, hiding, views, config)
+    questions = open_questions(grid, hiding, views, interest, config)
     step = max(round(config.spacing / grid.cell), 1)
     every = np.zeros(grid.shape, bool)
     every[start[0] % step :: step, start[1] % step :: step] = True
     places = np.argwhere(every & ~grid.blocked & np.isfinite(way))
     if not len(places):
         return ()
-    area = unseen_sectors(places + 0.5, unseen, hiding, config.view_range / grid.cell, _SECTORS, _RAYS)
-    area *= grid.cell**2
+    near, reach = config.near_range / grid.cell, config.view_range / grid.cell
+    told = unseen_sectors(places + 0.5, questions, hiding, near, reach, _SECTORS, _RAYS)
+    told *= grid.cell**2
     width = int(np.clip(round(config.fov_deg / 360 * _SECTORS), 1, _SECTORS))
-    cyclic = np.cumsum(np.column_stack([np.zeros(len(places)), area, area[:, :width]]), axis=1)
+    cyclic = np.cumsum(np.column_stack([np.zeros(len(places)), told, told[:, :width]]), axis=1)
     shown = cyclic[:, width : width + _SECTORS] - cyclic[:, :_SECTORS]
     best = shown.argmax(axis=1)
     headings = (best + 0.5 * width) * 2 * np.pi / _SECTORS
     goals = []
     for cell, heading, gain in zip(places, headings, shown.max(axis=1), strict=True):
-        if gain < config.min_area:
+        if gain < config.min_gain:
             continue
         x, y = pose[:2] if (cell == start).all() else grid.centre_of(cell)
         metres = float(way[tuple(cell)])
         turn = abs(float(np.angle(np.exp(1j * (heading - pose[2])))))
         time = metres / config.speed + turn / config.turn_rate + config.look_time
+        if gain < config.min_value * time:
+            continue
         view = View(float(x), float(y), float(np.angle(np.exp(1j * heading))))
         goals.append(ViewGoal(view, float(gain), metres, float(gain) / time))
     return tuple(sorted(goals, key=lambda goal: -goal.value))

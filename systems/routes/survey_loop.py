@@ -14,7 +14,8 @@ from .route import Route
 from .route_config import RoutesConfig
 from .route_grid import RouteGrid
 from .route_learner import LearningProgress
-from .survey_steps import LoopState, Surroundings, SurveyLoopConfig, climbs, heading_error, next_state
+from .survey_state import LoopState, Surroundings, SurveyLoopConfig
+from .survey_steps import climbs, heading_error, next_state
 from .voxels import Voxels
 
 
@@ -26,6 +27,7 @@ class SurveyLoop(LeafSystem):
         input_ports:
         - route_grid
         - voxels
+        - interest
         - X_MB
         - learning
         - routes
@@ -33,6 +35,7 @@ class SurveyLoop(LeafSystem):
         - follower_pose
         - follower_twist
         - choice
+        - mode
         output_ports:
         - start
         - goal
@@ -46,17 +49,20 @@ class SurveyLoop(LeafSystem):
         - survey
         - done
 
-    Decides where a survey goes, see `next_state`: it looks around, chooses the look that shows most new ground for its
-    time (`find_goals`), has the way learnt, offers the routes, drives the chosen one, turns to the heading of the look
-    and stands still there. A route that a newer map closes is given up and the goal chosen anew. When nothing reachable
+    Decides where a survey goes, see `next_state`: it looks around, chooses the look that tells most for its time
+    (`find_goals`), has the way learnt, offers the routes, drives the chosen one, turns to the heading of the look and
+    stands still there. A route that a newer map closes, and a goal that was seen on the way, are given up and the goal
+    chosen anew. While somebody else drives the loop rests, and begins where the robot then is. When nothing reachable
     is unseen or the time budget ends, the robot goes home.
 
-    - `route_grid` (`RouteGrid`), `voxels` (`Voxels`): the newest map; `X_MB` (RigidTransform): base B in map M.
+    - `route_grid` (`RouteGrid`), `voxels` (`Voxels`), `interest` (array (nx, ny) [bit], optional): the newest map, as
+      from a `VoxelWorld`. `X_MB` (RigidTransform): base B in map M.
     - `learning` (`LearningProgress`), `routes` (tuple of `Route`): what a `RouteLearner` and `DistinctRoutes` say about
       `start` (3: x, y, heading [m, m, rad]) and `goal` (2: x, y [m]), NaN when there is no goal.
     - `follower_status` (str), `follower_pose` (3), `follower_twist` (2): of a `PathFollower` that is given `route`
       (`Route`, without points unless it is to be driven).
     - `choice` (1): index of the route that the operator wants, negative as long as none; optional with `auto`.
+    - `mode` (str, optional): who drives, as from a `ModeSwitch`; the loop rests unless it is "autonomous".
     - `offers` (tuple of `Route`), `chosen` (1): what the operator sees; -1 before the choice.
     - `reference_pose` (3), `reference_twist` (2): those of the follower while driving; turning on the spot or standing
       still [m, m, rad; m/s, rad/s] otherwise.
@@ -77,14 +83,16 @@ class SurveyLoop(LeafSystem):
         self._config, self._routes = config or SurveyLoopConfig(), routes or RoutesConfig()
         check_config(self._config, key="loop")
         check_config(self._routes, key="routes")
-        for name in ("route_grid", "voxels"):
+        for name in ("route_grid", "voxels", "interest"):
             self.DeclareAbstractInputPort(name, AbstractValue.Make(object()))
+        self._interest = self.GetInputPort("interest")
         pose = self.DeclareAbstractInputPort("X_MB", AbstractValue.Make(RigidTransform()))
         for name in ("learning", "routes"):
             self.DeclareAbstractInputPort(name, AbstractValue.Make(object()))
         self.DeclareAbstractInputPort("follower_status", Value[str]())
         follower = [self.DeclareVectorInputPort("follower_pose", 3), self.DeclareVectorInputPort("follower_twist", 2)]
         self._choice = self.DeclareVectorInputPort("choice", 1)
+        self._mode = self.DeclareAbstractInputPort("mode", Value[str]())
         ticket = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(LoopState())))
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._Decide)
         by_state = {ticket}
@@ -129,6 +137,8 @@ class SurveyLoop(LeafSystem):
             routes=lambda: eval_typed(self, context, "routes", tuple),
             driving=eval_typed(self, context, "follower_status", str),
             choice=chosen,
+            interest=eval_typed(self, context, "interest", np.ndarray) if self._interest.HasValue(context) else None,
+            mode=eval_typed(self, context, "mode", str) if self._mode.HasValue(context) else "autonomous",
         )
         after = next_state(before, context.get_time(), here, self._config, self._routes)
         if after is before:

@@ -1,118 +1,15 @@
 """The survey loop as a state machine: look, choose a goal, learn, offer, drive, and at the end the way home."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ..config import quantity
 from .find_routes import blocked_at
-from .frontiers import FrontierConfig, View, ViewGoal, find_goals, hiding_cells
+from .frontiers import View, ViewGoal, find_goals, gain_of, hiding_cells, open_questions
 from .route import Route
 from .route_config import RoutesConfig
 from .route_grid import RouteGrid
-from .voxels import Voxels
-
-PHASES = ("wait", "choose", "learn", "offer", "drive", "face", "look", "done")
-OPERATORS = ("auto", "prompt")
-
-
-@dataclass(kw_only=True)
-class SurveyLoopConfig:
-    """How a survey without a tour decides where to look, and when it goes home."""
-
-    # "auto" takes the cheapest route, "prompt" waits for the operator's `choice`.
-    operator: str = quantity("auto", choices=OPERATORS)
-    # [s] From this simulated time on the robot goes home.
-    time_budget: float = quantity(480.0, unit="s", above=0)
-    # [s] How long a route is learnt at most, and how long at least: the learner must have noticed the goal.
-    learn_time: float = quantity(10.0, unit="s", above=0)
-    settle_time: float = quantity(0.5, unit="s", low=0)
-    # [s] A leg ends without arrival after this multiple of its predicted time, and when the path was left this long.
-    slow: float = quantity(3.0, low=1)
-    off_time: float = quantity(3.0, unit="s", low=0)
-    # Goals without a way that are tried one after the other before the robot goes home, and tries at the way home.
-    most_failures: int = quantity(8, low=0)
-    # [m] The robot may stand this far from a free cell: routes begin at the nearest.
-    snap: float = quantity(0.5, unit="m", above=0)
-    # [rad] Largest error of the heading at a look. [1/s], [rad/s] Gain and yaw rates of turning to it.
-    face_tolerance: float = quantity(0.08, unit="rad", above=0)
-    turn_gain: float = quantity(1.5, unit="1/s", above=0)
-    turn_rate: float = quantity(0.8, unit="rad/s", above=0)
-    min_turn_rate: float = quantity(0.15, unit="rad/s", low=0)
-    # [m], [rad] A rise of the route this steep within this distance ahead calls for the preset `climb`.
-    climb_ahead: float = quantity(0.6, unit="m", above=0)
-    climb_slope: float = quantity(0.25, unit="rad", above=0)
-    # [s] Period of the decisions.
-    period: float = quantity(0.2, unit="s", above=0)
-    frontiers: FrontierConfig = field(default_factory=FrontierConfig)
-
-
-@dataclass(frozen=True, eq=False)
-class LoopState:
-    """Where the survey is; read-only.
-
-    Attributes:
-        phase: of `PHASES`. since: when it began [s].
-        home: x, y of the start [m]; None before the first map.
-        view: the look that is the goal; None without. homeward: whether the goal is home.
-        start: (3,) pose at which routes to the goal begin, NaN without goal [m, m, rad].
-        views: looks taken, and goals that were given up.
-        offers: routes that the operator may choose from. chosen: which one is driven, -1 for none yet.
-        legs: legs driven to their end. offered: routes offered so far. closed: legs ended by a newer map.
-        failures: goals without a way, one after the other. returned: whether the robot is back home.
-        reason: why the survey goes home or is done.
-    """
-
-    phase: str = "wait"
-    since: float = 0.0
-    home: tuple[float, float] | None = None
-    view: View | None = None
-    homeward: bool = False
-    start: tuple[float, float, float] = (np.nan, np.nan, np.nan)
-    views: tuple[View, ...] = ()
-    offers: tuple[Route, ...] = ()
-    chosen: int = -1
-    legs: int = 0
-    offered: int = 0
-    closed: int = 0
-    failures: int = 0
-    returned: bool = False
-    reason: str = ""
-
-    def __deepcopy__(self, memo: dict) -> "LoopState":
-        return self
-
-    @property
-    def route(self) -> Route:
-        """The route that is driven now, one without points otherwise."""
-        return self.offers[self.chosen] if self.phase == "drive" else Route()
-
-    @property
-    def goal(self) -> tuple[float, float]:
-        """x, y [m], NaN without."""
-        if self.homeward and self.home is not None:
-            return self.home
-        return (np.nan, np.nan) if self.view is None else (self.view.x, self.view.y)
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """What the loop decides by.
-
-    Attributes:
-        pose: (3,) x, y, heading in M. grid, voxels: of the newest map.
-        learning: status of the learner. routes: computes the routes from `start` to `goal` of the state.
-        driving: status of the path follower. choice: index of the operator's choice, negative as long as there is none.
-    """
-
-    pose: np.ndarray
-    grid: RouteGrid
-    voxels: Voxels
-    learning: str
-    routes: Callable[[], tuple[Route, ...]]
-    driving: str
-    choice: int = -1
+from .survey_state import LoopState, Surroundings, SurveyLoopConfig
 
 
 def next_state(
@@ -124,17 +21,20 @@ def next_state(
     def to(phase: str, **changes: object) -> LoopState:
         return replace(state, phase=phase, since=now, **changes)  # type: ignore[arg-type]
 
+    if state.phase not in ("wait", "done"):
+        if here.mode != "autonomous":
+            if state.phase == "held":
+                return state
+            return to("held", view=None, offers=(), chosen=-1, held=state.held + 1)
+        if state.phase == "held":  # the robot may be anywhere now
+            return to("choose")
     if state.phase == "wait":
         if here.grid.blocked.all():
             return state
         x, y, heading = here.pose.tolist()
         return to("look", home=(x, y), view=View(x, y, heading))
     if state.phase == "look":
-        assert state.view is not None
-        if spent < config.frontiers.look_time:
-            return state
-        # What was seen is what the robot looked at, not what it meant to.
-        return to("choose", views=(*state.views, View(*here.pose.tolist())), view=None)
+        return _looked(state, now, here, config)
     if state.phase == "choose":
         return _chosen(state, now, here, config, routes)
     if state.phase == "learn":
@@ -187,7 +87,7 @@ def _chosen(
     goals: tuple[ViewGoal, ...] = ()
     if not reason:
         hiding = hiding_cells(here.grid, here.voxels, config.frontiers)
-        goals = find_goals(here.grid, start, hiding, state.views, config.frontiers, routes)
+        goals = find_goals(here.grid, start, hiding, state.views, config.frontiers, routes, here.interest)
         if not goals:
             reason = "nothing reachable is unseen"
     if reason:
@@ -201,11 +101,10 @@ def _chosen(
             state, phase="learn", since=now, homeward=True, view=None, start=place, reason=reason, failures=failures
         )
     view = goals[0].view
+    state = replace(state, since=now, view=view, gain=goals[0].gain, judged=here.interest)
     if np.hypot(view.x - start[0], view.y - start[1]) < here.grid.cell:
-        return replace(state, phase="face", since=now, view=view)
-    return replace(
-        state, phase="learn", since=now, view=view, start=(float(start[0]), float(start[1]), float(start[2]))
-    )
+        return replace(state, phase="face")
+    return replace(state, phase="learn", start=(float(start[0]), float(start[1]), float(start[2])))
 
 
 def _driven(state: LoopState, now: float, here: Surroundings, config: SurveyLoopConfig) -> LoopState:
@@ -221,7 +120,41 @@ def _driven(state: LoopState, now: float, here: Surroundings, config: SurveyLoop
         return _given_up(ended, now, config)
     if closed_ahead(route, here.grid, here.pose):
         return replace(ended, phase="choose", closed=state.closed + 1)
+    if state.view is not None and here.interest is not state.judged:
+        if _gain(state.view, state, here, config) < min(config.frontiers.min_gain, config.keep_gain * state.gain):
+            return replace(ended, phase="choose", view=None, passed=state.passed + 1)
+        return replace(state, judged=here.interest)
     return state
+
+
+def _looked(state: LoopState, now: float, here: Surroundings, config: SurveyLoopConfig) -> LoopState:
+    """A look ends when its time is over, or earlier when a newer map leaves nothing to ask there."""
+    spent = now - state.since
+    if spent >= config.frontiers.look_time:
+        # What was seen is what the robot looked at, not what it meant to. What it did not tell it never will.
+        view = View(*here.pose.tolist())
+        return replace(state, phase="choose", since=now, views=(*state.views, view), looks=state.looks + 1, view=None)
+    if here.interest is None or here.interest is state.judged or spent < config.settle_time:
+        return state
+    view = View(*here.pose.tolist())
+    if _gain(view, state, here, config) < 0.5 * config.frontiers.min_gain:
+        # Looking there again would tell nothing either.
+        again = state.short is not None and _alike(view, state.short)
+        views = (*state.views, view) if again else state.views
+        return replace(state, phase="choose", since=now, looks=state.looks + 1, view=None, views=views, short=view)
+    return replace(state, judged=here.interest)
+
+
+def _alike(a: View, b: View) -> bool:
+    turn = abs(np.angle(np.exp(1j * (a.heading - b.heading))))
+    return bool(np.hypot(a.x - b.x, a.y - b.y) < 0.3 and turn < 0.3)
+
+
+def _gain(view: View, state: LoopState, here: Surroundings, config: SurveyLoopConfig) -> float:
+    """What a look would tell by the newest map [bit m²]."""
+    hiding = hiding_cells(here.grid, here.voxels, config.frontiers)
+    questions = open_questions(here.grid, hiding, state.views, here.interest, config.frontiers)
+    return gain_of(view, questions, here.grid, hiding, config.frontiers)
 
 
 def closed_ahead(route: Route, grid: RouteGrid, pose: np.ndarray) -> bool:

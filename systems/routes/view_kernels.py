@@ -6,13 +6,13 @@ from numba import njit
 
 @njit(cache=True)
 def mark_view(
-    covered: np.ndarray, opaque: np.ndarray, x: float, y: float, first: float, last: float, reach: float
+    covered: np.ndarray, opaque: np.ndarray, x: float, y: float, first: float, last: float, near: float, reach: float
 ) -> None:
     """Marks the cells that are seen from a point between two directions, up to what is opaque.
 
     Args:
         covered, opaque: (nx, ny) bool; `covered` is changed.
-        x, y: in cells. first, last: directions [rad]. reach: [cells].
+        x, y: in cells. first, last: directions [rad]. near, reach: [cells].
     """
     nx, ny = opaque.shape
     rays = max(int(np.ceil(1.5 * reach * (last - first))), 1)
@@ -24,18 +24,19 @@ def mark_view(
             i, j = int(np.floor(x + r * c)), int(np.floor(y + r * s))
             if i < 0 or j < 0 or i >= nx or j >= ny or opaque[i, j]:
                 break
-            covered[i, j] = True
+            if r >= near:
+                covered[i, j] = True
             r += 0.5
 
 
 @njit(cache=True)
 def unseen_sectors(
-    places: np.ndarray, unseen: np.ndarray, opaque: np.ndarray, reach: float, sectors: int, rays: int
+    places: np.ndarray, worth: np.ndarray, opaque: np.ndarray, near: float, reach: float, sectors: int, rays: int
 ) -> np.ndarray:
-    """How much unseen ground each place looks at in each sector, (P, sectors) [cells].
+    """What each place looks at in each sector: worth times area, (P, sectors) [cells].
 
     Args:
-        places: (P, 2) in cells. unseen, opaque: (nx, ny) bool. reach: [cells]. rays: in each sector.
+        places: (P, 2) in cells. worth: (nx, ny). opaque: (nx, ny) bool. near, reach: [cells]. rays: in each sector.
     """
     nx, ny = opaque.shape
     area = np.zeros((len(places), sectors))
@@ -49,7 +50,7 @@ def unseen_sectors(
                 i, j = int(np.floor(places[place, 0] + r * c)), int(np.floor(places[place, 1] + r * s))
                 if i < 0 or j < 0 or i >= nx or j >= ny or opaque[i, j]:
                     break
-                if unseen[i, j]:
-                    area[place, ray // rays] += r * width
+                if r >= near:
+                    area[place, ray // rays] += worth[i, j] * r * width
                 r += 1.0
     return area

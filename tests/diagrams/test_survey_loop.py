@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from naraha.diagrams.operator import Operator
 from naraha.diagrams.scenario import load_scenario
 from naraha.diagrams.survey import SurveyLog, SurveyScenario, make_survey
 from naraha.diagrams.survey_loop import coverage
@@ -16,6 +17,7 @@ def test_a_survey_whose_time_is_over_after_the_first_look_is_done_at_home():
     scenario = load_scenario(SurveyScenario, "stair_hall_loop", SHORT, 0)
     diagram = make_survey(scenario)
     log, simulator = SurveyLog(scenario, diagram), Simulator(diagram)
+    Operator(diagram, simulator.get_mutable_context())
     ending = None
     while ending is None and simulator.get_context().get_time() < 12.0:
         simulator.AdvanceTo(simulator.get_context().get_time() + scenario.slam.period)

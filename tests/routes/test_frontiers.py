@@ -4,7 +4,7 @@ from naraha.systems.errors import ConfigError, InputError
 from naraha.systems.routes import FREE, OCCUPIED, RouteGrid, Voxels
 from naraha.systems.routes.frontiers import FrontierConfig, View, find_goals, hiding_cells, seen_cells
 
-CONFIG = FrontierConfig(view_range=2.0, fov_deg=90, min_area=0.5)
+CONFIG = FrontierConfig(view_range=2.0, near_range=0.0, fov_deg=90, min_gain=0.5, min_value=0.0)
 
 
 def hall(nx=80, ny=50):
@@ -31,7 +31,7 @@ def test_one_look_covers_its_sector_and_nothing_behind_walls():
 
 def test_the_area_of_a_look_over_open_ground_is_that_of_its_sector():
     goal = goals_in(hall(), pose=(4.0, 2.5, 0.0))[0]
-    assert goal.area == pytest.approx(np.pi * 2.0**2 / 4, rel=0.06)
+    assert goal.gain == pytest.approx(np.pi * 2.0**2 / 4, rel=0.06)
 
 
 def test_looking_at_the_best_goal_again_and_again_sees_the_hall_and_ends():

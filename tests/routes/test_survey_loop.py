@@ -5,9 +5,12 @@ import pytest
 from naraha.systems.errors import ConfigError
 from naraha.systems.routes import FREE, OCCUPIED, RouteGrid, SurveyLoop, SurveyLoopConfig, Voxels, find_routes
 from naraha.systems.routes.frontiers import FrontierConfig
-from naraha.systems.routes.survey_steps import LoopState, Surroundings, climbs, next_state
+from naraha.systems.routes.survey_state import LoopState, Surroundings
+from naraha.systems.routes.survey_steps import climbs, next_state
 
-CONFIG = SurveyLoopConfig(frontiers=FrontierConfig(view_range=2.0, fov_deg=120, min_area=0.5, look_time=1.0))
+CONFIG = SurveyLoopConfig(
+    frontiers=FrontierConfig(view_range=2.0, near_range=0.0, fov_deg=120, min_gain=0.5, min_value=0.0, look_time=1.0)
+)
 
 
 def hall(block=()):
