@@ -9,6 +9,7 @@ from .information import InformationConfig, scans_along
 from .landmarks import LandmarkConfig, LandmarkMap, find_landmarks
 from .plan_files import PlanFile, read_floor_plan
 from .problem import PlacementProblem, ProblemConfig, make_problem, problem_with
+from .rounds import Round, Rounds, RoundsConfig, Verification, Verify, learn_from, run_rounds
 from .topology import Topology, TopologyConfig, grow_topology
 
 __all__ = [
@@ -22,21 +23,28 @@ __all__ = [
     "PlacementProblem",
     "PlanFile",
     "ProblemConfig",
+    "Round",
+    "Rounds",
+    "RoundsConfig",
     "SiteConfig",
     "Topology",
     "TopologyConfig",
+    "Verification",
+    "Verify",
     "evolve",
     "fewest_sites",
     "find_landmarks",
     "find_sites",
     "grow_topology",
     "initial_route",
+    "learn_from",
     "make_problem",
     "placement_of",
     "plan_from_image",
     "plan_from_walls",
     "problem_with",
     "read_floor_plan",
+    "run_rounds",
     "scans_along",
     "shortest_order",
 ]

@@ -49,7 +49,7 @@ class Placement:
         length: [m].
         largest_error: expected along the route [m]. within_limit: whether it is nowhere above what is allowed.
         side_score: mean of the paper's Eval over the nodes of the route, in [0, 2].
-        curve: (g, 3) number of landmarks, length [m], and mean Eval of the best so far, by generation.
+        curve: (g, 3) number of landmarks, length [m], and mean Eval (less penalties) of the best so far, by generation.
         evaluations: pairs of a route and a set that were evaluated.
         routes, sets: the populations in the end, to go on from: (N, n), and words (M,).
     """
@@ -126,6 +126,8 @@ def placement_of(
     ways = [problem.ways[leg] for leg in legs]
     excess, _, _ = follow(order, word_of(chosen), problem.tables(), np.zeros(0))
     _, errors = problem.errors_along(order, chosen)
+    sides = problem.sides()
+    as_published = sides._replace(penalty=np.zeros_like(sides.penalty))
     return Placement(
         order=order,
         chosen=chosen,
@@ -135,7 +137,7 @@ def placement_of(
         length=float(route_length(order, problem.lengths)),
         largest_error=float(errors.max()),
         within_limit=excess == 0.0,
-        side_score=float(sides_seen(order, word_of(chosen), n, problem.sides())),
+        side_score=float(sides_seen(order, word_of(chosen), n, as_published)),
         curve=np.zeros((0, 3)) if curve is None else curve,
         evaluations=int(evaluations),
         routes=order[None] if routes is None else routes,

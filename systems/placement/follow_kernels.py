@@ -44,6 +44,7 @@ class Sides(NamedTuple):
         first_node: ((n + 1)² + 1,) where each leg's nodes begin.
         left, right: (m,) whether the plan's own landmarks are seen on that side of a node.
         left_sites, right_sites: (m,) words with the sites that are.
+        penalty: (m,) that a node costs for each side without a landmark; not 0 where a run has failed.
     """
 
     first_node: np.ndarray
@@ -51,6 +52,7 @@ class Sides(NamedTuple):
     right: np.ndarray
     left_sites: np.ndarray
     right_sites: np.ndarray
+    penalty: np.ndarray
 
 
 @njit(cache=True)
@@ -143,17 +145,21 @@ def _inverse(
 @njit(cache=True)
 def sides_seen(order: np.ndarray, chosen: Word, n: int, sides: Sides) -> float:
     """Mean of the paper's Eval over the nodes of a route, Eq. 3: 0 where no landmark is seen, 1 where some are on one
-    side, 2 where there are on both. n: number of points, the start among them."""
+    side, 2 where there are on both; less the penalties, but not less than 0.
+
+    Args:
+        n: number of points, the start among them.
+    """
     first = sides.first_node
-    total, count, at = 0, 0, 0
+    total, count, at = 0.0, 0, 0
     for o in range(len(order)):
         leg = at * n + order[o]
         at = order[o]
         for k in range(first[leg], first[leg + 1]):
-            total += 1 if sides.left[k] or (sides.left_sites[k] & chosen) != 0 else 0
-            total += 1 if sides.right[k] or (sides.right_sites[k] & chosen) != 0 else 0
+            total += 1.0 if sides.left[k] or (sides.left_sites[k] & chosen) != 0 else -sides.penalty[k]
+            total += 1.0 if sides.right[k] or (sides.right_sites[k] & chosen) != 0 else -sides.penalty[k]
         count += first[leg + 1] - first[leg]
-    return total / max(count, 1)
+    return max(0.0, total) / max(count, 1)
 
 
 @njit(cache=True)

@@ -51,6 +51,7 @@ class PlacementProblem:
         first_node: where each leg's nodes begin in the next four.
         left, right: (m,) bool: whether the plan's landmarks are seen on that side.
         left_sites, right_sites: (m,) int64 words: which sites are.
+        nodes_at: (m, 2) where the nodes are [m]. penalty: (m,) see `Sides`.
         config: what it was made with.
     """
 
@@ -70,6 +71,8 @@ class PlacementProblem:
     right: np.ndarray
     left_sites: np.ndarray
     right_sites: np.ndarray
+    nodes_at: np.ndarray
+    penalty: np.ndarray
     config: ProblemConfig
 
     def __deepcopy__(self, memo: dict) -> "PlacementProblem":
@@ -88,7 +91,7 @@ class PlacementProblem:
 
     def sides(self) -> Sides:
         """What the paper's Eval takes."""
-        return Sides(self.first_node, self.left, self.right, self.left_sites, self.right_sites)
+        return Sides(self.first_node, self.left, self.right, self.left_sites, self.right_sites, self.penalty)
 
     def errors_along(self, order: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses (m, 3) along a route [m, m, rad], and the largest error to expect at each [m].
@@ -165,6 +168,7 @@ def problem_with(
         np.full(len(poses), config.error_limit),
         _starts([path[1:] for path in nodes]),
         *seen,
+        np.zeros(len(seen[0])),
         config,
     )
 
@@ -192,8 +196,8 @@ def _sides(
     landmarks: LandmarkMap,
     sites: np.ndarray,
     config: ProblemConfig,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """On which side of each leg's nodes, but its first, landmarks and which sites are seen, as in the paper."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """On which side of each leg's nodes, but its first, landmarks and which sites are seen, and where those are."""
     places = topology.nodes
     all_ = np.vstack([landmarks.positions, sites])
     extent = np.concatenate([landmarks.extent, np.full(len(sites), config.sites.side)])
@@ -207,4 +211,4 @@ def _sides(
     own = len(landmarks.positions)
     bits = np.left_shift(np.int64(1), np.arange(len(sites), dtype=np.int64))
     words = [(side[:, own:] * bits).sum(axis=1).astype(np.int64) for side in (left, right)]
-    return left[:, :own].any(axis=1), right[:, :own].any(axis=1), words[0], words[1]
+    return left[:, :own].any(axis=1), right[:, :own].any(axis=1), words[0], words[1], places[at]

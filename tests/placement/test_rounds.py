@@ -1,0 +1,113 @@
+"""Rounds: falling bounds, failures that are learnt from, runs in parallel; the runs here are synthetic."""
+
+import numpy as np
+import pytest
+from naraha.systems.errors import ConfigError
+from naraha.systems.placement import EvolutionConfig, RoundsConfig, Verification, learn_from, run_rounds
+
+from .halls import small_problem
+
+CONFIG = RoundsConfig(evolution=EvolutionConfig(generations=60, patience=15))
+
+
+def strict_world(problem, factor):
+    """A run whose errors are `factor` times those expected, and fails where they are largest."""
+
+    def verify(plan, placement, sites):
+        poses, errors = problem.errors_along(placement.order, placement.chosen)
+        worst = int(np.argmax(errors))
+        error = factor * errors[worst]
+        assert (sites == placement.sites).all()
+        if error <= 0.3:
+            return Verification(True, error)
+        return Verification(False, error, poses[worst, :2], "lost")
+
+    return verify
+
+
+def test_a_model_that_is_right_goes_through_all_bounds_without_a_failure():
+    problem = small_problem(0.3)
+    found = run_rounds(problem, strict_world(problem, 1.0), CONFIG)
+    k = len(problem.sites)
+    assert [r.least for r in found.rounds] == [9, 6, 3, 0]
+    assert found.landmarks[:2] == [round(0.75 * k), round(0.5 * k)]
+    assert found.best is found.rounds[-1]
+    assert found.landmarks[-1] <= found.landmarks[-2]
+    assert all(r.placement.within_limit for r in found.rounds)
+
+
+def test_a_failure_is_learnt_from_until_it_is_well():
+    problem = small_problem(0.3)
+    found = run_rounds(problem, strict_world(problem, 1.5), CONFIG)
+    failed = [r for r in found.rounds if not r.verification.ok]
+    assert failed
+    assert found.best is not None
+    assert found.best.verification.max_error <= 0.3
+    least = found.rounds[-1].least
+    again = [r.placement.chosen.sum() for r in found.rounds if r.least == least]
+    assert again[-1] > again[0]
+    # Nobody tries again what has failed.
+    tried = [(tuple(r.placement.order), tuple(r.placement.chosen)) for r in found.rounds if r.least == least]
+    assert len(set(tried)) == len(tried)
+
+
+def test_what_failed_is_within_the_limit_no_more_and_far_away_nothing_changes():
+    problem = small_problem(0.3)
+    placement = run_rounds(problem, strict_world(problem, 1.0), CONFIG).rounds[-1].placement
+    poses, errors = problem.errors_along(placement.order, placement.chosen)
+    where = poses[int(np.argmax(errors)), :2]
+    after = learn_from(problem, placement, Verification(False, 0.5, where, "lost"), CONFIG)
+    gap = np.hypot(*(problem.poses[:, :2] - where).T)
+    assert after.limit[gap <= 6.0].max() == pytest.approx(0.6 * errors.max())
+    assert (after.limit[gap > 6.0] == problem.limit[gap > 6.0]).all()
+    near = np.hypot(*(after.nodes_at - where).T) <= 6.0
+    assert (after.penalty[near] > 0).all()
+    assert (after.penalty[~near] == 0).all()
+    everywhere = learn_from(problem, placement, Verification(False, 9.0, None, "stuck"), CONFIG)
+    assert everywhere.limit.max() == pytest.approx(0.5 * errors.max())
+
+
+def test_the_paper_preset_puts_landmarks_where_it_failed():
+    problem = small_problem(0.3)
+    config = RoundsConfig(shares=[0.0], retries=0, evolution=EvolutionConfig(preset="paper"))
+    lost = Verification(False, 1.0, np.array([18.0, 8.0]), "lost")
+    first = run_rounds(problem, lambda plan, placement, sites: lost, config)
+    placement = first.rounds[0].placement
+    seen = problem.sides()
+    again = run_rounds(first.problem, lambda *_: Verification(True, 0.1), config).rounds[0].placement
+    near = np.hypot(*(problem.nodes_at - lost.where).T) <= config.radius
+
+    def score_near(found):
+        words = [(side & found.sets[0]) != 0 for side in (seen.left_sites, seen.right_sites)]
+        return np.mean((words[0] | seen.left)[near].astype(int) + (words[1] | seen.right)[near])
+
+    assert score_near(again) > score_near(placement)
+
+
+def test_runs_may_be_made_in_parallel_and_are_reported_in_turn():
+    problem = small_problem(0.3)
+    batches, told = [], []
+
+    def together(verify, *sequences):
+        batches.append(len(sequences[0]))
+        return [verify(*arguments) for arguments in zip(*sequences, strict=True)]
+
+    found = run_rounds(problem, strict_world(problem, 1.5), CONFIG, map_=together, report=told.append)
+    assert batches[0] == 4
+    assert sum(batches) == len(found.rounds)
+    assert told == list(found.rounds)
+
+
+def test_without_any_success_there_is_no_best_round_and_the_retries_end():
+    problem = small_problem(0.3)
+    config = RoundsConfig(shares=[0.5, 0.0], retries=2, evolution=EvolutionConfig(generations=3))
+    found = run_rounds(problem, lambda *_: Verification(False, 2.0, None, "blind"), config)
+    assert len(found.rounds) == 6
+    assert found.best is None
+
+
+def test_rounds_that_make_no_sense_are_refused():
+    with pytest.raises(ConfigError, match=r"rounds\.tighten"):
+        run_rounds(small_problem(), lambda *_: Verification(True, 0.0), RoundsConfig(tighten=[0.9, 0.5]))
+    with pytest.raises(ConfigError, match=r"rounds\.shares"):
+        run_rounds(small_problem(), lambda *_: Verification(True, 0.0), RoundsConfig(shares=[1.5]))
