@@ -30,6 +30,7 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tests.behaviors.behavior_examples import BEHAVIOR_EXAMPLES
 from tests.localization.localization_examples import LOCALIZATION_EXAMPLES
+from tests.placement.placement_examples import PLACEMENT_EXAMPLES
 from tests.routes.maps import water_map
 from tests.routes.route_examples import ROUTE_EXAMPLES, with_inputs
 from tests.sensing.meter_rig import meter_example
@@ -161,6 +162,7 @@ def on_pioneer(name: str) -> Example:
 
 EXAMPLES: dict[str, Example] = {
     **ROUTE_EXAMPLES,
+    **PLACEMENT_EXAMPLES,
     **BEHAVIOR_EXAMPLES,
     **LOCALIZATION_EXAMPLES,
     **{
