@@ -68,7 +68,8 @@ class FuzzyVfhController(LeafSystem):
       and "no way" means only that no candidate came up in a full turn.
     - `reference_pose` (3): the sub-goal x, y, heading in M [m, m, rad]; the robot's own pose when it does not drive.
     - `reference_twist` (2): v_r [m/s], omega_r [rad/s].
-    - `risk` (1): r of the rectangle or ground that was chosen; 0 when it does not drive.
+    - `risk` (1): r of the rectangle or ground that was chosen, raised near what is impassable, see `nearness`; 0 when
+      it does not drive.
     - `status` (str): "driving", "turning", "backing", "looking", "arrived" or "no way". The last two stand still;
       "no way" is left again when the memory finds a way.
 
@@ -121,7 +122,7 @@ class FuzzyVfhController(LeafSystem):
                 field, key = self._spread(grid, goal, pose, held), wanted
             if field is not None:
                 way = find_way(field, pose[:2])
-            reach = 0.5 * math.hypot(*self._ability.footprint) + 0.3
+            reach = 0.5 * math.hypot(*self._ability.footprint) + max(0.3, config.beside)
             obstacles = obstacles_near(grid, pose, reach)
         sight = Sight(context.get_time(), pose, goal.copy(), histogram, field, index, way, obstacles)
         after, command = decide(held.state, sight, self._ability, config)

@@ -81,6 +81,22 @@ def room_behind(obstacles: np.ndarray, footprint: list[float], distance: float =
     return not ((np.abs(y) < 0.5 * footprint[1]) & (x < 0) & (x > -0.5 * footprint[0] - distance)).any()
 
 
+def nearness(obstacles: np.ndarray, direction: float, footprint: list[float], beside: float) -> float:
+    """How near the robot is to what stands ahead or beside it, as it looks in `direction` [rad]: 1 at it, 0 from
+    `beside` [m] on, (1 − gap/beside)² between.
+
+    Args:
+        obstacles: (n, 2) [m], in the robot's heading frame; what is behind its middle does not count.
+    """
+    if not len(obstacles):
+        return 0.0
+    c, s = math.cos(direction), math.sin(direction)
+    along, across = obstacles @ [c, s], obstacles @ [-s, c]
+    gaps = np.hypot(np.maximum(along - 0.5 * footprint[0], 0), np.maximum(np.abs(across) - 0.5 * footprint[1], 0))
+    gap = float(np.min(gaps, where=along > 0, initial=np.inf))
+    return max(1 - gap / beside, 0.0) ** 2
+
+
 def _angle_between(directions: np.ndarray, angle: float) -> np.ndarray:
     return np.abs(np.remainder(directions - angle + np.pi, 2 * np.pi) - np.pi)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .ability import Ability
 from .risk_map import IMPASSABLE
-from .vfh_choice import best_direction, nearest_to_goal, open_ahead, room_behind, room_to_turn, wrapped
+from .vfh_choice import best_direction, nearest_to_goal, nearness, open_ahead, room_behind, room_to_turn, wrapped
 from .vfh_state import ARRIVED, BACKING, DRIVING, LOOKING, NO_WAY, TURNING, Command, Sight, VfhConfig, VfhState
 from .wavefront import ALWAYS, IF_UNSEEN
 
@@ -207,8 +207,14 @@ def _near(state: VfhState, sight: Sight, wanted: float, ability: Ability, config
 def _steer(
     state: VfhState, sight: Sight, direction: float, reach: float, risk: float, ability: Ability, config: VfhConfig
 ) -> Decision:
-    """Sets the sub-goal `reach` ahead, or at the goal where that is nearer, and the reference speed."""
+    """Sets the sub-goal `reach` ahead, or at the goal where that is nearer, and the reference speed.
+
+    The risk is that of the ground ahead or, where that is higher, of what stands beside it: a rectangle that holds a
+    pillar is never chosen, and still the robot is to be slow near it (the paper's Fig. 12).
+    """
     left = float(np.hypot(*(sight.goal - sight.pose[:2])))
+    near = nearness(sight.obstacles, direction, ability.footprint, config.beside)
+    risk = max(risk, config.beside_share * ability.risk_limit * near)
     aim = wrapped(direction + sight.pose[2])
     length = min(reach, left)
     x, y = sight.pose[:2] + length * np.array([np.cos(aim), np.sin(aim)])

@@ -53,6 +53,10 @@ class VfhConfig:
     stuck_turn_deg: float = quantity(6.0, unit="deg", above=0)
     # [s] How long the histogram may refuse what is remembered as passable, before it is marked impassable.
     patience: float = quantity(1.5, unit="s", above=0)
+    # [m], [-] From here on what is impassable beside the way or ahead raises the risk, up to this share of the limit
+    # where it would be touched.
+    beside: float = quantity(0.5, unit="m", above=0)
+    beside_share: float = quantity(0.6, unit="-", low=0, high=1)
     # [m] Length of the sub-goal over remembered ground, where the histogram's rectangles are too long.
     near: float = quantity(0.7, unit="m", above=0)
     # Updates of the memory in a row that must say that there is no way, or that there is one again.

@@ -13,7 +13,14 @@ from naraha.systems.traversability import (
     describe_terrain,
     make_histogram,
 )
-from naraha.systems.traversability.vfh_choice import best_direction, nearest_to_goal, room_behind, room_to_turn, wrapped
+from naraha.systems.traversability.vfh_choice import (
+    best_direction,
+    nearest_to_goal,
+    nearness,
+    room_behind,
+    room_to_turn,
+    wrapped,
+)
 from naraha.systems.traversability.vfh_decide import decide
 from naraha.systems.traversability.vfh_state import Sight, VfhState
 from naraha.systems.traversability.wavefront import (
@@ -490,3 +497,25 @@ def test_a_memory_of_another_type_is_named():
 def test_bad_configurations_name_the_key(config, message):
     with pytest.raises(ConfigError, match=message):
         FuzzyVfhController(pioneer(), config)
+
+
+def test_risk_rises_near_what_stands_ahead_or_beside_and_not_behind():
+    size = [0.6, 0.4]
+    pillar = np.array([[0.5, 0.4]])
+    assert nearness(np.zeros((0, 2)), 0.0, size, 0.5) == 0
+    assert nearness(np.array([[0.2, 0.2]]), 0.0, size, 0.5) == pytest.approx(1.0)
+    assert nearness(pillar, 0.0, size, 0.5) == pytest.approx((1 - np.hypot(0.2, 0.2) / 0.5) ** 2)
+    assert nearness(-pillar, 0.0, size, 0.5) == 0
+    # Turned away from it, the robot passes farther off; towards it, it is straight ahead.
+    assert nearness(pillar, -0.6, size, 0.5) < nearness(pillar, 0.0, size, 0.5)
+    ahead = nearness(pillar, float(np.arctan2(0.4, 0.5)), size, 0.5)
+    assert ahead == pytest.approx((1 - (np.hypot(0.5, 0.4) - 0.3) / 0.5) ** 2)
+    risks, speeds = [], []
+    for distance in (2.0, 0.25, 0.2):
+        beside = replace(sight(goal=(5.0, 0)), obstacles=np.array([[0.3, distance]]))
+        command = decide(VfhState(), beside, pioneer(), VfhConfig())[1]
+        risks.append(command.risk)
+        speeds.append(command.v_r)
+    assert risks == sorted(risks)
+    assert speeds == sorted(speeds, reverse=True)
+    assert speeds[2] < speeds[1] < speeds[0]
