@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from naraha.models.plans import load_floor_plan, shipped_plans
+from naraha.models.plans import PLANS_DIR, load_floor_plan, shipped_plans
+from naraha.models.plans.generate import GENERATED, as_yaml
 from naraha.systems.errors import ConfigError, PlanError
 from naraha.systems.placement import plan_from_walls
 from PIL import Image
@@ -84,6 +85,16 @@ def test_shipped_plans_can_be_used(name):
     plan = load_floor_plan(name)
     plan.check(clearance=0.5)
     assert len(plan.measuring_points) >= 8
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_generated_plans_are_those_that_are_shipped_and_other_seeds_can_be_used_too(name, tmp_path):
+    assert (PLANS_DIR / f"{name}.yaml").read_text() == as_yaml(GENERATED[name](), name)
+    for seed in range(1, 4):
+        path = tmp_path / f"{seed}.yaml"
+        path.write_text(as_yaml(GENERATED[name](seed), name))
+        load_floor_plan(path).check(clearance=0.5)
+    assert GENERATED[name](1) != GENERATED[name](2)
 
 
 @pytest.mark.parametrize(
