@@ -145,9 +145,7 @@ def problem_with(
             path = clear.path(a, b)[0] if b > 0 and a != b else np.zeros(0, np.int64)
             way = clear.nodes[path]
             nodes.append(path)
-            if config.straighten and len(way) > 2:
-                way = way[straighten(~drivable, (way - plan.origin) / plan.resolution)]
-            ways.append(way)
+            ways.append(_straight(plan, ~drivable, way) if config.straighten else way)
     step = config.information.step
     legs = [_poses(way, step) for way in ways]
     poses = np.concatenate(legs)
@@ -171,6 +169,20 @@ def problem_with(
         np.zeros(len(seen[0])),
         config,
     )
+
+
+def _straight(plan: FloorPlan, blocked: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """A way (k, 2) with all cuts that are clear, at first between its points, then also between points along it."""
+    for spacing in (np.inf, 1.0, 0.5):
+        if len(way) <= 2:
+            break
+        parts = [way[:1]]
+        for a, b in itertools.pairwise(way):
+            count = max(1, int(np.ceil(np.hypot(*(b - a)) / spacing)))
+            parts.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+        fine = np.concatenate(parts)
+        way = fine[straighten(blocked, (fine - plan.origin) / plan.resolution)]
+    return way
 
 
 def _starts(parts: list[np.ndarray]) -> np.ndarray:
