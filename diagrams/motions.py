@@ -25,9 +25,9 @@ def make_motions(
 ) -> Diagram:
     """Builds station → odometry → motions → station; with `localisation` "truth", the motions know the true pose.
 
-    Inputs: `action` (1), see `MotionPrimitives`. Outputs: `status` (str), `motion` (1), `X_OB` (RigidTransform),
-    `track_displacements` (2), and `cheat.X_WB`, for metrics and rewards only. Subsystems: `station`, `odometry`,
-    `primitives`, and `flipper_preset`, always "auto", of a robot with flippers.
+    Inputs: `action` (1), see `MotionPrimitives`. Outputs: `status` (str), `motion` (1), `track_displacements` (2), and
+    `cheat.X_WB`. Subsystems: `station`, `primitives`, `odometry` unless the truth is known, and `flipper_preset`,
+    always "auto", of a robot with flippers.
 
     Args:
         X_OB0: where the odometry begins; where the scenario says that the robot stands when not given.
@@ -35,13 +35,13 @@ def make_motions(
     builder = DiagramBuilder()
     station = make_station(config, seed=seed, world=world, meshcat=meshcat)
     builder.AddSystem(station)
-    odometry = builder.AddNamedSystem("odometry", Odometry6Dof(X_OB0=X_OB0 or config.robot.X_WB()))
     motions = builder.AddNamedSystem("primitives", MotionPrimitives(primitives))
-    connect(builder, station, "track_displacements", odometry)
-    connect(builder, station, "rpy", odometry)
     if localisation == "truth":
         connect(builder, station, "cheat.X_WB", motions, "X_MB")
     else:
+        odometry = builder.AddNamedSystem("odometry", Odometry6Dof(X_OB0=X_OB0 or config.robot.X_WB()))
+        connect(builder, station, "track_displacements", odometry)
+        connect(builder, station, "rpy", odometry)
         connect(builder, odometry, "X_OB", motions, "X_MB")
     connect(builder, motions, "twist_command", station)
     if station.HasInputPort("flipper_preset"):
@@ -50,7 +50,6 @@ def make_motions(
     builder.ExportInput(motions.GetInputPort("action"), "action")
     for name in ("status", "motion"):
         builder.ExportOutput(motions.GetOutputPort(name), name)
-    builder.ExportOutput(odometry.GetOutputPort("X_OB"), "X_OB")
     for name in ("track_displacements", "cheat.X_WB"):
         builder.ExportOutput(station.GetOutputPort(name), name)
     diagram = builder.Build()

@@ -1,11 +1,12 @@
 """Learning of routes: how fast, how good, and against what else there is.
 
-    python -m tests.benchmarks.learning --scene speed|paper|optimality|reuse|dqn|all [--maps N] [--json FILE]
+    python -m tests.benchmarks.learning --scene speed|paper|optimality|reuse|dqn|physics|all [--maps N] [--json FILE]
 
 `speed`: Q-steps a second on one core, ours and the same in Python and numpy; value iteration on 60 × 60 cells.
 `paper`: the paper's 130 episodes with its parameters. `optimality`: N maps learnt until certified, halls and mazes.
 `reuse`: episodes until the greedy policy reaches a goal up to 1 m from an earlier one, on a map with another origin
-and size, from the earlier policy and from each kind of start values. `dqn`: Stable-Baselines3 on the same task.
+and size, from the earlier policy and from each kind of start values. `dqn`: Stable-Baselines3 on the same task
+with as many motions. `physics`: the 130 episodes with the crawler in a MultibodyPlant, two at a time, and DQN there.
 """
 
 import argparse
@@ -37,6 +38,7 @@ from naraha.systems.routes.grid_route import example_task
 
 from ..routes.maps import hall_map, maze_map, water_map
 from .learning_peers import dqn, numpy_q_learning, python_q_learning
+from .learning_physics import dqn_in_physics, physics
 from .report import print_table, time_in_turns, use_one_core, write_json
 
 Results = dict[str, object]
@@ -172,10 +174,20 @@ def reuse(maps: int) -> Results:
     return results
 
 
+def arrived_share(task: RouteTask, actions: np.ndarray) -> float:
+    """Share of the states from which there is a way, and from which the motions `actions` (S,) lead to the goal."""
+    successor = np.append(task.transitions[0][np.arange(task.states), actions, 0], -1)
+    away = task.reachable[~task.goal_cells.ravel()[task.reachable]]
+    states = (away[:, None] * 8 + np.arange(8)).ravel()
+    for _ in range(1000):
+        states = successor[states]  # the goal, -1, leads to itself
+    return float((states < 0).mean())
+
+
 def deep(maps: int) -> Results:
-    """DQN for 20 000 motions and ours until certified, on the example room."""
+    """DQN and ours with 20 000 motions each on the example room, and ours until certified."""
     task, pose = example_task()
-    start = task.state_of(pose)
+    start, budget = task.state_of(pose), 20_000
     begun = time.perf_counter()
     learned = learn(task, begin(task, start))
     results: Results = {
@@ -183,11 +195,26 @@ def deep(maps: int) -> Results:
         "naraha_dqn_task_gap": learned.gap,
         "naraha_dqn_task_steps": learned.learning.steps,
     }
-    measured = dqn(task, pose, 20_000, 0)
+    begun = time.perf_counter()
+    ours = advance(task, begin(task, start), LearningConfig(), budget).q.reshape(-1, 4).argmax(axis=1)
+    results |= {
+        "dqn_budget": budget,
+        "naraha_budget_s": time.perf_counter() - begun,
+        "naraha_budget_arrived_share": arrived_share(task, ours),
+        "naraha_budget_motions_to_goal": expected_motions(task, ours, start),
+    }
+    measured = dqn(task, pose, budget, 0)
     actions = measured.pop("dqn_actions", None)
     if actions is not None:
+        results["dqn_arrived_share"] = arrived_share(task, np.asarray(actions))
         results["dqn_motions_to_goal"] = expected_motions(task, np.asarray(actions), start)
     return results | measured
+
+
+def in_physics(maps: int) -> Results:
+    """The 130 episodes in physics, and DQN with as many motions."""
+    results = physics()
+    return results | dqn_in_physics(int(str(results["naraha_physics_motions"])))
 
 
 SCENES: dict[str, Callable[[int], Results]] = {
@@ -196,6 +223,7 @@ SCENES: dict[str, Callable[[int], Results]] = {
     "optimality": optimality,
     "reuse": reuse,
     "dqn": deep,
+    "physics": in_physics,
 }
 
 
@@ -205,7 +233,8 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", help="where to write the numbers")
     parser.add_argument("--maps", type=int, default=50)
     arguments = parser.parse_args()
-    use_one_core()
+    if arguments.scene != "physics":
+        use_one_core()
     results: Results = {"discount": RewardConfig().discount}
     for name, run in SCENES.items():
         if arguments.scene in (name, "all"):

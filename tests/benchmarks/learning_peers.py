@@ -56,21 +56,28 @@ def numpy_q_learning(task: RouteTask, start: int, config: LearningConfig, episod
     return steps, q
 
 
-def dqn(task: RouteTask, start: np.ndarray, steps: int, seed: int) -> dict[str, object]:
-    """DQN as shipped, one thread, on `naraha/GridRoute-v0`; {"dqn_skipped": why} where it is not installed."""
+def train_dqn(env: gym.Env, steps: int, seed: int) -> Any:
+    """DQN as shipped, one thread, after `steps` motions in `env`; why not, in words, where it is not installed."""
     try:
         import torch
         from stable_baselines3 import DQN
     except ImportError as error:
-        return {"dqn_skipped": f"not installed: {error.name}"}
+        return f"not installed: {error.name}"
     torch.set_num_threads(1)
+    agent = DQN("MlpPolicy", env, learning_starts=500, seed=seed, device="cpu")
+    return agent.learn(steps)
+
+
+def dqn(task: RouteTask, start: np.ndarray, steps: int, seed: int) -> dict[str, object]:
+    """DQN on `naraha/GridRoute-v0`; {"dqn_skipped": why} where it is not installed."""
     # What the network is given is scaled to [0, 1], which is to its advantage against raw cell numbers.
     env = gym.wrappers.RescaleObservation(
         _AsBox(gym.make("naraha/GridRoute-v0", task=task, start=start)), np.float32(0), np.float32(1)
     )
-    agent = DQN("MlpPolicy", env, learning_starts=500, seed=seed, device="cpu")
     begin = time.perf_counter()
-    agent.learn(steps)
+    agent = train_dqn(env, steps, seed)
+    if isinstance(agent, str):
+        return {"dqn_skipped": agent}
     seconds = time.perf_counter() - begin
     nx, ny = task.grid.shape
     cells = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), np.arange(8), indexing="ij"), axis=-1).reshape(-1, 3)
