@@ -16,6 +16,8 @@ from .snake_moves import SnakeMovesConfig, SnakeRun, make_snake_moves
 STUCK_ADVANCE, TEST_TIME = 0.02, 1.5
 # Time to come to rest, and how long it drives on after a proposal [s].
 SETTLE_TIME, DRIVE_TIME = 0.8, 6.0
+# A snake that has not got this far after so long will not get away [m, s].
+HOPELESS_ADVANCE, HOPELESS_TIME = 0.03, 3.0
 STEP = 0.05
 
 
@@ -75,13 +77,16 @@ def perform(run: SnakeRun, proposal: Proposal, watch: Callable[[], None]) -> tup
 
 
 def drive_on(run: SnakeRun, speed: float, seconds: float, watch: Callable[[], None]) -> float:
-    """Drives on by shift control; returns how far the head got, seen from above [m]."""
-    start = run.head()
+    """Drives on by shift control, while it gets anywhere; returns how far the head got, seen from above [m]."""
+    start, begin, advance = run.head(), run.time, 0.0
     run.give(Move(kind="shift", speed=speed))
     for _ in range(round(seconds / STEP)):
         run.advance(STEP)
         watch()
-    return float(np.linalg.norm((run.head() - start)[:2]))
+        advance = float(np.linalg.norm((run.head() - start)[:2]))
+        if advance < HOPELESS_ADVANCE and run.time - begin >= HOPELESS_TIME:
+            break
+    return advance
 
 
 def rehearse(config: SnakeMovesConfig, belief: Belief, proposal: Proposal) -> Rehearsal:

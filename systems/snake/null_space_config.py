@@ -29,10 +29,12 @@ class NullSpaceConfig:
     # α of row S1-a.
     alpha: float = quantity(-8.0, unit="1/s", high=0.0)
     # Weights a_t, a_s and a_j of row S1-b. With V_singular = 1/det a weight of 1 drowns the target: for five units
-    # 1/det is between 1e2 and 1e6, d² about 1e-2.
+    # 1/det is between 1e2 and 1e6, d² about 1e-2. With -log det a weight of 1e-3 keeps the control point within 5 mm of
+    # its way also when a target straight ahead leaves a straight segment straight; 2e-4 and 0 do not.
     target_weight: float = quantity(1.0, low=0.0)
-    singular_weight: float = quantity(2e-4, low=0.0)
-    joint_weight: float = quantity(1.0, low=0.0)
+    singular_weight: float = quantity(1e-3, low=0.0)
+    # V_joint is a cube of radians, at most 5e-3 within the margin: with a weight of 1 nobody feels it.
+    joint_weight: float = quantity(100.0, low=0.0)
     # What of the determinant is the cost: "log" is -log det(JJᵀ), "inverse" the paper's 1/det(JJᵀ).
     singularity: str = quantity("log", choices=("log", "inverse"))
     # θ_lim of row S1-b is that much inside the range.
@@ -93,6 +95,7 @@ PRESETS: dict[str, dict[str, object]] = {
     "paper": {
         "singularity": "inverse",
         "singular_weight": 1.0,
+        "joint_weight": 1.0,
         "alpha": -1.0,
         "joint_margin": 0.0,
         "damping": 0.0,

@@ -131,7 +131,7 @@ class TipOverMargin(LeafSystem):
     def _support(self, context: Context) -> Support:
         results = eval_typed(self, context, "contact_results", ContactResults)
         poses = eval_typed(self, context, "body_poses", list)
-        centres = np.array([poses[i] @ p for i, p in zip(self._indices, self._p_BBcm, strict=True)])
+        centres = np.array([poses[i].multiply(p) for i, p in zip(self._indices, self._p_BBcm, strict=True)])
         centre = self._masses @ centres / self._masses.sum()
         polygon = convex_hull(support_points(results, self._bodies, self._config.min_vertical_force))
         return Support(polygon, centre, tip_over_margin(polygon, centre[:2]))

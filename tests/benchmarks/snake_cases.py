@@ -1,44 +1,38 @@
 """The snake in random stuck worlds: what it notices, how it frees itself, and what each part of the method is worth.
 
-    python -m tests.benchmarks.snake_cases --parts detection,freeing,methods [--cases 50] [--kinds 1,2,3,4,5] [--jobs 2]
+    python -m tests.benchmarks.snake_cases [--parts methods,terms] [--cases 2] [--kinds 1,2,3,4,5] [--jobs 1]
         [--first 1000] [--json FILE]
 
-detection: stuck and not-stuck runs of every class. freeing: the whole mission, the planner chooses. methods: the same
-cases with one move each, chosen by nobody: null-space recovery, its ablations and what an operator would try first.
+methods: one move each, chosen by nobody, in the stuck worlds: null-space recovery, its ablations, and what an operator
+would try first. terms: postures in which single terms of the cost matter. detection: stuck and not-stuck runs of every
+class. freeing: the whole mission, the planner chooses. The last two with 50 cases a class take hours.
 """
 
 import argparse
 import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from naraha.diagrams.recover import RecoverScenario, RecoverScript, choose_best, make_recover
-from naraha.diagrams.snake_moves import snake_body
-from naraha.diagrams.snake_rehearsal import STEP, drive_on, perform
+from naraha.diagrams.snake_rehearsal import STEP
 from naraha.models.worlds.stuck import KINDS
-from naraha.systems.snake import preset
-from naraha.systems.snake.recovery_planner import cheap_moves, recover_moves
 from naraha.systems.snake.snake_pilot import Move
 from naraha.systems.snake.stuck_rules import Diagnosis
 
 from .report import print_table, use_one_core, write_json
-
-SPEED = 0.1
-# Free means that it drives on this far [m].
-FREE = 0.5
-# What is changed of the recovery in every ablation.
-ABLATIONS = {
-    "recovery": {},
-    "no_null_space": {"alpha": 0.0},
-    "no_manipulability": {"singular_weight": 0.0},
-    "no_joint_term": {"joint_weight": 0.0},
-    "paper_weights": None,
-    "no_shift": {"trailing": "hold"},
-}
-CHEAP = ("shift", "relax", "reverse", "torque")
+from .snake_ablations import (
+    CHEAP,
+    METHODS,
+    POSTURES,
+    SPEED,
+    UNBOUNDED,
+    Outcome,
+    in_kinematics,
+    in_physics,
+    in_stuck_world,
+)
 
 
 def spread(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[Any]:
@@ -83,45 +77,6 @@ def free_itself(kind: int, seed: int) -> dict[str, float]:
         run.advance(STEP)
         script.watch()
     return vars(script.metrics)
-
-
-def try_one(kind: int, seed: int, name: str) -> dict[str, float]:
-    """Carries out one move at the true unit of a case, without a planner, and drives on."""
-    scenario = RecoverScenario(stuck=kind, seed=seed, recording=None)
-    changes = ABLATIONS.get(name, {})
-    recovery = preset("paper") if changes is None else replace(scenario.recovery, **changes)
-    case, run = make_recover(replace(scenario, recovery=recovery))
-    run.give(Move(joints=tuple(float(q) for q in case.joint_command)))
-    run.advance(1.2)
-    run.give(Move(kind="wheels", speed=SPEED))
-    run.advance(3.0)
-    run.give(Move())
-    run.advance(0.3)
-    body, angles, rpy = snake_body(scenario), run.read("station.joint_angles"), run.read("station.rpy")
-    if name in CHEAP:
-        proposal = next(p for p in cheap_moves(scenario.planner) if p.name == name)
-    else:
-        proposal = recover_moves(case.unit, angles, rpy, body, scenario.planner)[0]
-    margins, tilt = [np.inf], 0.0
-    limits = np.array(scenario.snake.joint_limits())
-
-    def watch() -> None:
-        nonlocal tilt
-        margins.append(float(np.min(limits - np.abs(run.read("station.joint_angles")))))
-        tilt = max(tilt, abs(float(run.read("station.rpy")[0])))
-
-    start, begin = run.head(), run.time
-    perform(run, proposal, watch)
-    head_motion = float(np.linalg.norm(run.head() - start))
-    advance = drive_on(run, SPEED, 7.0, watch)
-    return {
-        "freed": float(advance >= FREE),
-        "advance_m": advance,
-        "time_s": run.time - begin - 7.0,
-        "head_motion_m": head_motion,
-        "joint_margin_rad": min(margins),
-        "tilt_rad": tilt,
-    }
 
 
 def detection(kinds: list[int], seeds: list[int], free_seeds: list[int], jobs: int) -> dict[str, float]:
@@ -190,39 +145,73 @@ def freeing(kinds: list[int], seeds: list[int], jobs: int) -> dict[str, float]:
 
 
 def methods(kinds: list[int], seeds: list[int], jobs: int) -> dict[str, float]:
-    """One move each, at the true unit: what frees in which class."""
+    """One move each, at the true unit: what frees in which class, and at what cost over all classes."""
     results: dict[str, float] = {}
-    for kind in kinds:
-        rows = []
-        for name in (*ABLATIONS, *CHEAP):
-            runs = spread(try_one, [(kind, seed, name) for seed in seeds], jobs)
-            row = {
-                "freed": np.mean([run["freed"] for run in runs]),
-                "advance_m": np.mean([run["advance_m"] for run in runs]),
-                "time_s": np.mean([run["time_s"] for run in runs]),
-                "head_motion_m": max(run["head_motion_m"] for run in runs),
-                "joint_margin_deg": np.rad2deg(min(run["joint_margin_rad"] for run in runs)),
-                "tilt_deg": np.rad2deg(max(run["tilt_rad"] for run in runs)),
-            }
-            rows.append((name, *(float(value) for value in row.values())))
-            label = "naraha_" if name in ("recovery",) else ""
-            results |= {f"{label}{name}_{kind}_{key}": float(value) for key, value in row.items()}
-        columns = ("move", "freed", "advance [m]", "time [s]", "head, worst [m]", "joint margin [°]", "tilt, worst [°]")
-        print_table(f"Class {kind}, {len(seeds)} cases: one move, then 7 s of driving on", columns, rows)
+    rows: list[list[object]] = []
+    tasks = [(kind, seed, name) for name in (*METHODS, *CHEAP) for kind in kinds for seed in seeds]
+    outcomes = dict(zip(tasks, spread(in_stuck_world, tasks, jobs), strict=True))
+    for name in (*METHODS, *CHEAP):
+        runs = {task[:2]: outcome for task, outcome in outcomes.items() if task[2] == name}
+        label = "naraha" if name == "recovery" else name
+        row: list[object] = [name]
+        for kind in kinds:
+            freed = float(np.mean([runs[kind, seed].ok for seed in seeds]))
+            results[f"{label}_freed_{kind}"] = freed
+            row.append(freed)
+        costs = costs_of(list(runs.values()))
+        results |= {f"{label}_{key}": value for key, value in costs.items()}
+        rows.append([*row, *costs.values()])
+    columns = ["move", *(f"class {kind}" for kind in kinds), "s", "head mm", "control mm", "joints °", "tip mm"]
+    print_table(f"One move, {len(seeds)} cases of each class: share freed; mean time, worst of the rest", columns, rows)
     return results
+
+
+def terms(kinematic: int, physical: int, jobs: int) -> dict[str, float]:
+    """Postures in which single terms matter, as pure kinematics and in physics on flat ground."""
+    results: dict[str, float] = {}
+    for where, function, count in (("kinematics", in_kinematics, kinematic), ("physics", in_physics, physical)):
+        rows: list[list[object]] = []
+        tasks = [(f, seed, name) for f in POSTURES for name in (*METHODS, *UNBOUNDED) for seed in range(count)]
+        outcomes = dict(zip(tasks, spread(function, tasks, jobs), strict=True))
+        for family in POSTURES:
+            for name in (*METHODS, *UNBOUNDED):
+                runs = [outcomes[family, seed, name] for seed in range(count)]
+                done, costs = float(np.mean([run.ok for run in runs])), costs_of(runs)
+                label = f"{'naraha' if name == 'recovery' else name}_{family}_{where}"
+                results |= {f"{label}_done": done} | {f"{label}_{key}": value for key, value in costs.items()}
+                rows.append([family, name, done, *costs.values()])
+        columns = ["posture", "method", "done", "s", "head mm", "control mm", "joints °", "tip mm"]
+        print_table(f"Where terms matter, {where}, {count} postures each: mean time, worst of the rest", columns, rows)
+    return results
+
+
+def costs_of(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Mean time, worst head motion and control error, smallest margins; NaN where there is none."""
+
+    def worst(values: list[float], pick: Callable[[list[float]], float]) -> float:
+        finite = [value for value in values if np.isfinite(value) and abs(value) < 100]
+        return float(pick(finite)) if finite else np.nan
+
+    return {
+        "time_s": float(np.mean([o.time for o in outcomes])),
+        "head_mm": 1e3 * worst([o.head for o in outcomes], max),
+        "control_mm": 1e3 * worst([o.control for o in outcomes], max),
+        "joint_margin_deg": float(np.rad2deg(worst([o.joints for o in outcomes], min))),
+        "tip_margin_mm": 1e3 * worst([o.tip for o in outcomes], min),
+    }
 
 
 def recovery_scene() -> dict[str, float]:
     """A short version for `tests.benchmarks.snake --scene recovery`: ten cases of each class, one of each method."""
     kinds, seeds = list(KINDS), list(range(1000, 1010))
     results = detection(kinds, seeds, seeds[:5], 1)
-    return results | freeing(kinds, seeds[:2], 1) | methods(kinds, seeds[:1], 1)
+    return results | freeing(kinds, seeds[:2], 1) | methods(kinds, seeds[:1], 1) | terms(6, 1, 1)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--parts", default="detection,freeing,methods")
-    parser.add_argument("--cases", type=int, default=50)
+    parser.add_argument("--parts", default="methods,terms")
+    parser.add_argument("--cases", type=int, default=2)
     parser.add_argument("--free-cases", type=int, default=20)
     parser.add_argument("--kinds", default=",".join(map(str, KINDS)))
     parser.add_argument("--first", type=int, default=1000, help="first seed")
@@ -239,6 +228,8 @@ def main() -> None:
         results |= freeing(kinds, seeds, arguments.jobs)
     if "methods" in parts:
         results |= methods(kinds, seeds, arguments.jobs)
+    if "terms" in parts:
+        results |= terms(12, 2, arguments.jobs)
     write_json(arguments.json, results)
 
 
