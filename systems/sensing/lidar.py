@@ -22,6 +22,8 @@ from .ray_scene import RayHits, RayScene
 from .scan import Scan
 from .scan_pattern import ScanPattern, utm30lx, utm30lx_10hz, vlp16
 
+# [m] Dust farther away returns too little.
+_DUST = 10.0
 _PATTERNS = {"vlp16": vlp16, "utm30lx": utm30lx, "utm30lx_10hz": utm30lx_10hz}
 
 
@@ -44,6 +46,8 @@ class LidarConfig:
     detection_steepness: float = quantity(3.0, above=0.0)
     # Share of shots lost for no reason that is modelled. Assumed.
     dropout: float = quantity(0.005, low=0.0, high=1.0)
+    # Share of shots that dust or rain sends back from anywhere on the way, up to 10 m.
+    stray: float = quantity(0.0, low=0.0, high=1.0)
     # How much more power the mirrored share returns at normal incidence than if it were scattered. Assumed.
     specular_gain: float = quantity(10.0, low=0.0)
     # Incidence angle at which the mirrored return has fallen to exp(-1/2). Assumed; slightly rough, as rippled water.
@@ -129,10 +133,12 @@ def simulate_returns(
     r is the length of the whole way. What the sensor reports is a point straight on at this distance, the mirror image.
     A mirror in a mirror shows nothing, nor does what rides with the sensor.
 
+    A share `stray` of the shots comes back from dust, at any distance before what they would have met.
+
     Args:
         p_WR, d_W: rays, as from `sweep_rays`, N = those of `pattern`.
         rng: three numbers are drawn for every ray, whatever it hits, and three more after these for those that mirrors
-            send on.
+            send on; at the end three for dust, if there is any.
         X_WF: poses of the moving frames, see `RayScene.cast`.
         own_geometry: geometries of the robot itself, as from `RayScene.geometries_of`: a ray that meets one of them
             first is lost.
@@ -160,6 +166,13 @@ def simulate_returns(
         in_mirror, far, other_noise = _detect(way + seen.distance, weight, rng, config, pattern)
         back[ray], measured[ray], noise[ray] = weight, far, other_noise
         detected[ray] |= in_mirror
+    if config.stray > 0:
+        uniform, share, weight = rng.random((3, len(back)), np.float32)
+        dust = clear & (uniform < config.stray)
+        least = np.float32(pattern.min_range)
+        farthest = np.minimum(hits.distance, np.float32(min(_DUST, pattern.max_range)))
+        measured = np.where(dust, least + share * np.maximum(farthest - least, 0), measured)
+        back, detected = np.where(dust, weight, back), detected | dust
     ray = np.flatnonzero(detected)
     intensity = back[ray] + np.float32(config.intensity_noise) * noise[ray]
     return Returns(ray, measured[ray], np.clip(intensity, 0, 1, out=intensity))

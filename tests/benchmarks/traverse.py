@@ -1,7 +1,7 @@
 """Random rough yards for every robot: does it reach the goal, unharmed, and say so where there is no way?
 
     python -m tests.benchmarks.traverse [--worlds 20] [--robots pioneer amphibious crawler] [--jobs 2] [--fit robust]
-        [--out out/rough] [--json FILE]
+        [--stray 0.01] [--out out/rough] [--json FILE]
 
 The yards are those of `naraha.models.worlds.rough_field`: a bent way through them keeps to slopes, steps and roughness
 that every robot here manages, and anything may stand beside it; in the blocked ones a wall keeps every robot from the
@@ -25,9 +25,9 @@ from .report import print_table, write_json
 ROBOTS = ("pioneer", "amphibious", "crawler")
 
 
-def drive(robot: str, seed: int, blocked: bool, fit: str, folder: Path) -> dict[str, Any]:
+def drive(robot: str, seed: int, blocked: bool, fit: str, stray: float, folder: Path) -> dict[str, Any]:
     """Metrics of one drive."""
-    out = folder / fit / robot / f"{'blocked' if blocked else 'open'}_{seed:03}"
+    out = folder / f"{fit}_{stray:g}" / robot / f"{'blocked' if blocked else 'open'}_{seed:03}"
     metrics = read_metrics(out)
     if metrics is None or metrics["status"] == "interrupted":
         yard = rough_field.build(seed, blocked=blocked)
@@ -40,6 +40,7 @@ def drive(robot: str, seed: int, blocked: bool, fit: str, folder: Path) -> dict[
             "goal": f"[{yard.goal_xy[0]:.4f}, {yard.goal_xy[1]:.4f}]",
             "duration": "240",
             "terrain.fit": fit,
+            "lidar.stray": str(stray),
         }
         words = [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
         run = Run(
@@ -71,6 +72,7 @@ def main() -> None:
     parser.add_argument("--blocked", type=int, default=5, help="blocked yards for each robot")
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=ROBOTS)
     parser.add_argument("--fit", choices=("robust", "least_squares"), default="robust")
+    parser.add_argument("--stray", type=float, default=0.0, help="share of the LiDAR's shots that dust sends back")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=Path("out/rough"))
     parser.add_argument("--json", metavar="FILE", help="where to write the numbers")
@@ -82,7 +84,7 @@ def main() -> None:
         for robot in arguments.robots
     ]
     with ThreadPoolExecutor(arguments.jobs) as pool:
-        found = list(pool.map(lambda one: drive(*one, arguments.fit, arguments.out), plan))
+        found = list(pool.map(lambda one: drive(*one, arguments.fit, arguments.stray, arguments.out), plan))
     results: dict[str, object] = {}
     for blocked in (False, True):
         rows = []

@@ -1,5 +1,7 @@
 """The simulated LiDAR against closed forms, with real Drake."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from naraha.systems.errors import ConfigError, PortError
@@ -333,6 +335,22 @@ def test_only_distances_within_the_range_are_reported(make_world):
         returns = beam(20000, 0, distance, Surface(), make_world, config)
         assert len(returns.ray) / 20000 == pytest.approx(share, abs=0.02)
         assert np.all((returns.distance >= 2) & (returns.distance <= 8))
+
+
+def test_dust_sends_its_share_back_from_anywhere_on_the_way(make_world):
+    config = LidarConfig(stray=0.1, dropout=0.0, range_noise=0.0, detection_range=1e6, min_range=1.0)
+    returns = beam(20000, 0, 5, Surface(), make_world, config)
+    assert len(returns.ray) == 20000
+    dust = returns.distance < 4.99
+    assert np.mean(dust) == pytest.approx(0.1, abs=0.01)
+    assert returns.distance[dust].min() >= 1.0
+    assert np.quantile(returns.distance[dust], [0.25, 0.75]) == pytest.approx([2.0, 4.0], abs=0.2)
+    far = make_world().add(Box(1, 1, 1), [40, 0, 0]).rays()
+    _, sky = fire(far, LidarConfig(stray=0.1, max_range=20.0))
+    assert sky.distance.max() <= 10.0
+    clean = dataclasses.replace(config, stray=0.0)
+    same = np.isin(returns.ray, beam(20000, 0, 5, Surface(), make_world, clean).ray)
+    assert same.all()
 
 
 def test_randomness_of_a_ray_does_not_depend_on_what_others_hit(make_world):
