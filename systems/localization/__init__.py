@@ -1,5 +1,6 @@
 """2D localisation and mapping with a laser scanner."""
 
+from .evolution_localizer import EvolutionLocalizer
 from .evolution_strategy import EvolutionConfig, evolve, evolve_as_paper
 from .laser_scan import LaserRing, LaserScan, LaserScanError, no_scan, ring_to_laser_scan
 from .likelihood_field import LikelihoodField, make_field
@@ -9,6 +10,7 @@ from .uncertainty import PlanarOdometryAccuracy, odometry_step_covariance
 
 __all__ = [
     "EvolutionConfig",
+    "EvolutionLocalizer",
     "LaserRing",
     "LaserScan",
     "LaserScanError",

@@ -49,8 +49,8 @@ def evolve(
     normals = rng.standard_normal((config.generations + 1, config.children, 3))
     uniforms = rng.random((config.generations, config.children, 2))
     return evolve_mu_plus_lambda(
-        field.signed, *field.origin, field.resolution, field.reach / field.resolution, points, prior, np.diag(spread),
-        information, weight, config.fit_deviation, normals, uniforms, config.parents,
+        field.signed, field.origin[0], field.origin[1], field.resolution, field.reach / field.resolution, points,
+        prior, spread, information, weight, config.fit_deviation, normals, uniforms, config.parents,
     )  # fmt: skip
 
 
@@ -80,7 +80,7 @@ def evolve_as_paper(
     rng = generator_at(seed, index)
     total = config.paper_parents + config.paper_generations
     pose, fitness, pool = evolve_mu_plus_one(
-        grid.log_odds, *grid.origin, grid.resolution, points, start, spread, 0.05 * spread,
+        grid.log_odds, grid.origin[0], grid.origin[1], grid.resolution, points, start, spread, 0.05 * spread,
         rng.standard_normal((total, 3)), rng.random((config.paper_generations, 4)),
     )  # fmt: skip
     return pose, float(fitness), np.cov(pool.T)

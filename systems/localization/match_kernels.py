@@ -31,7 +31,10 @@ def likelihood_fitness(
 
 @njit(cache=True)
 def hit_share(log_odds: np.ndarray, ox: float, oy: float, res: float, points: np.ndarray, X: np.ndarray) -> float:
-    """Share of the beams' ends in occupied cells among those in cells that are known; in [0, 1]."""
+    """Share of the beams' ends in cells of walls' faces among those in cells that are known; in [0, 1].
+
+    What is occupied all around is the inside of a wall: no beam ends there.
+    """
     c, s = math.cos(X[2]), math.sin(X[2])
     hit, known = 0, 0
     for k in range(len(points)):
@@ -39,8 +42,16 @@ def hit_share(log_odds: np.ndarray, ox: float, oy: float, res: float, points: np
         j = math.floor((X[1] + s * points[k, 0] + c * points[k, 1] - oy) / res)
         if 0 <= i < log_odds.shape[0] and 0 <= j < log_odds.shape[1] and log_odds[i, j] != 0.0:
             known += 1
-            hit += log_odds[i, j] > 0.0
+            hit += log_odds[i, j] > 0.0 and not _is_inside(log_odds, i, j)
     return hit / max(known, 1)
+
+
+@njit(cache=True)
+def _is_inside(log_odds: np.ndarray, i: int, j: int) -> bool:
+    for p, q in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+        if 0 <= p < log_odds.shape[0] and 0 <= q < log_odds.shape[1] and log_odds[p, q] <= 0.0:
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -67,14 +78,14 @@ def evolve_mu_plus_lambda(
     first generation. What is maximised is `weight` · fitness - ½ eᵀ Ω e, e the distance from the prior.
 
     Args:
-        spread: (3, 3), square root of the covariance of the first generation. information: Ω, (3, 3).
+        spread: (3,), deviation of the first generation. information: Ω, (3, 3).
         normals: (generations + 1, λ, 3) and uniforms: (generations, λ, 2), the randomness.
     """
     generations, children = uniforms.shape[0], normals.shape[1]
     pool = np.empty((parents + children, 3))
     score = np.full(parents + children, -np.inf)
     for k in range(children):
-        pool[parents + k] = prior + (spread @ normals[0, k] if k > 0 else np.zeros(3))
+        pool[parents + k] = prior + (spread * normals[0, k] if k > 0 else np.zeros(3))
         score[parents + k] = _posterior(
             signed, ox, oy, res, reach, points, pool[parents + k], prior, information, weight, sigma
         )
@@ -85,7 +96,7 @@ def evolve_mu_plus_lambda(
         better, worst = 0, score[parents - 1]
         for k in range(children):
             a, b = int(uniforms[g, k, 0] * parents), int(uniforms[g, k, 1] * parents)
-            child = pool[a] + 0.5 * difference(pool[a], pool[b]) + step * (spread @ normals[g + 1, k])
+            child = pool[a] + 0.5 * difference(pool[a], pool[b]) + step * spread * normals[g + 1, k]
             pool[parents + k] = child
             score[parents + k] = _posterior(
                 signed, ox, oy, res, reach, points, child, prior, information, weight, sigma
@@ -112,7 +123,11 @@ def _posterior(
     sigma: float,
 ) -> float:
     e = difference(prior, X)
-    return weight * likelihood_fitness(signed, ox, oy, res, reach, points, X, sigma) - 0.5 * e @ information @ e
+    far = 0.0
+    for a in range(3):
+        for b in range(3):
+            far += e[a] * information[a, b] * e[b]
+    return weight * likelihood_fitness(signed, ox, oy, res, reach, points, X, sigma) - 0.5 * far
 
 
 @njit(cache=True)

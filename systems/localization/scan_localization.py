@@ -48,8 +48,10 @@ class LocalizerConfig:
     patch_length: float = quantity(0.5, unit="m", above=0)
     # [m] Where a beam's weight has fallen to a quarter: people, and what is not in the map.
     robust_deviation: float = quantity(0.15, unit="m", above=0)
-    # [deg] How far the map's walls are from straight; a bare wall tells nothing of where along it the robot is.
+    # [deg] How far walls are from straight, in a map that was given and in one that is made on the way: by what lies
+    # within, a bare wall tells nothing of where along it the robot is.
     normal_deviation_deg: float = quantity(5.0, unit="deg", low=0)
+    mapped_normal_deviation_deg: float = quantity(8.0, unit="deg", low=0)
     # [m], [deg] After such a way or turn, scans err independently; before, they share the errors of the map.
     new_look: float = quantity(0.5, unit="m", above=0)
     new_look_deg: float = quantity(20.0, unit="deg", above=0)
@@ -188,7 +190,7 @@ def _thinned(points: np.ndarray, most: int) -> np.ndarray:
 def _match(ahead: Localization, points: np.ndarray, config: LocalizerConfig, seed: int) -> Localization:
     """Matches by evolution and refinement, and weighs the result against the prediction."""
     lf, prior = ahead.likelihood, ahead.pose
-    cells = (lf.signed, *lf.origin, lf.resolution, lf.reach / lf.resolution)
+    cells = (lf.signed, lf.origin[0], lf.origin[1], lf.resolution, lf.reach / lf.resolution)
     spread = _spread(ahead.covariance, config)
     # A weak prior: it keeps what the scan does not tell, and leaves the rest to the scan.
     weak = np.diag(1 / (4 * spread) ** 2)
@@ -201,7 +203,8 @@ def _match(ahead: Localization, points: np.ndarray, config: LocalizerConfig, see
     health = likelihood_fitness(*cells, points, found, config.evolution.fit_deviation)
     if config.mapping:
         health = min(health * len(points) / used, 1.0)  # what is not in the map yet does not speak against the pose
-    information = information_of(A, T, math.radians(config.normal_deviation_deg))
+    bent = config.mapped_normal_deviation_deg if config.mapping else config.normal_deviation_deg
+    information = information_of(A, T, math.radians(bent))
     offset = difference(prior, found)
     odd = surprise(ahead.covariance, information, offset)
     covariance, look = ahead.covariance, ahead.look

@@ -1,7 +1,7 @@
 """Rooms of straight walls, and what a 2D laser sees in them, in closed form."""
 
 import numpy as np
-from naraha.systems.localization import LaserScan
+from naraha.systems.localization import LaserScan, odometry_step_covariance
 from naraha.systems.localization.planar import compose
 
 ANGLES = np.radians(np.linspace(-135, 135, 541))
@@ -68,8 +68,6 @@ def drive(start, steps):
 
 def noisy_odometry(steps, rng, accuracy):
     """The same way as odometry with random-walk errors of `accuracy` sees it, (n + 1, 3), from zero."""
-    from naraha.systems.localization import odometry_step_covariance
-
     poses = [np.zeros(3)]
     for step in np.asarray(steps, float):
         L = np.linalg.cholesky(odometry_step_covariance(step, accuracy) + 1e-14 * np.eye(3))

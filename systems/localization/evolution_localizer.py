@@ -1,0 +1,149 @@
+"""The localiser as a system: laser scans and odometry in, pose and how far to trust it out."""
+
+import math
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from ..errors import ConfigError
+from ..ports import eval_typed, weak_method
+from .laser_scan import LaserScan
+from .occupancy_grid import OccupancyGrid
+from .planar import between, compose, from_matrix, to_matrix
+from .scan_localization import Localization, LocalizerConfig, localize, start_localization
+
+
+class EvolutionLocalizer(LeafSystem):
+    """
+    .. pydrake_system::
+
+        name: EvolutionLocalizer
+        input_ports:
+        - laser_scan
+        - X_OB
+        output_ports:
+        - X_MB
+        - pose
+        - covariance
+        - health
+        - lost
+        - grid
+        - localization
+
+    Finds the robot (base B) in a 2D map (frame M) by fitting every scan of a 2D laser to it with an evolution strategy
+    (row S4-g), refined by Gauss-Newton on the likelihood field and fused with odometry; see `localize`. The map is the
+    one that was given, or grows on the way when `config.mapping` is set.
+
+    - `laser_scan` (`LaserScan`): looked at every `period`; one with the index of the last, or -1, is ignored.
+    - `X_OB` (RigidTransform): odometry, from any origin O; of it x, y and heading are used.
+    - `X_MB` (RigidTransform), `pose` (3): x, y, heading in M [m, m, rad]. Between scans they go on with odometry.
+    - `covariance` (9): of the last scan's pose, in the axes of M, row by row [m², m rad, rad²]. It grows along a bare
+      corridor, where the fitness does not fall. With `method: paper` it is only the spread of the last population.
+    - `health` (1): fitness of the last scan, in [0, 1]; 0 when it had too few returns on the map.
+    - `lost` (1): 1 when the position may be off by more than `lost_deviation`, or several scans in a row did not fit.
+    - `grid` (`OccupancyGrid`): the map.
+    - `localization` (`Localization`): all of it.
+
+    Before the first scan the pose is the start.
+
+    Args:
+        grid: the map that is known, such as a floor plan; none when not given, which needs `config.mapping`.
+        start: X_MB of the start, (3,), zero when not given.
+        X_BS: pose of the laser on the robot, (3,), zero when not given.
+        period: [s] at which a new scan is looked for.
+        seed: of the evolution; two runs with one seed are equal.
+
+    Raises:
+        ConfigError: a value of `config` is out of range, or there is neither a map nor mapping.
+        PortError: an input is not connected or of another type.
+    """
+
+    def __init__(
+        self,
+        config: LocalizerConfig | None = None,
+        *,
+        grid: OccupancyGrid | None = None,
+        start: np.ndarray | None = None,
+        X_BS: np.ndarray | None = None,
+        period: float = 0.1,
+        seed: int = 0,
+    ):
+        super().__init__()
+        self._config = config or LocalizerConfig()
+        first = start_localization(self._config, grid, start)
+        if not self._config.mapping and not first.grid.occupied.any():
+            raise ConfigError(
+                "nothing to localise in", where="localizer", key="grid", valid="a map with walls, or mapping: true"
+            )
+        if not (math.isfinite(period) and period > 0):
+            raise ConfigError("out of range", where="localizer", key="period", value=period, valid="> 0 s")
+        self._X_BS, self._seed = X_BS, seed
+        self.DeclareAbstractInputPort("laser_scan", AbstractValue.Make(object()))
+        odometry = self.DeclareAbstractInputPort("X_OB", AbstractValue.Make(RigidTransform()))
+        self._state = self.DeclareAbstractState(AbstractValue.Make((first, -1)))
+        state = self.abstract_state_ticket(self._state)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._TakeScan)
+        self.DeclareAbstractOutputPort(
+            "X_MB",
+            lambda: AbstractValue.Make(RigidTransform()),
+            weak_method(self._CalcX_MB),
+            {state, odometry.ticket()},
+        )
+        self.DeclareVectorOutputPort("pose", 3, self._CalcPose, {state, odometry.ticket()})
+        self.DeclareVectorOutputPort("covariance", 9, self._CalcCovariance, {state})
+        self.DeclareVectorOutputPort("health", 1, self._CalcHealth, {state})
+        self.DeclareVectorOutputPort("lost", 1, self._CalcLost, {state})
+        self.DeclareAbstractOutputPort(
+            "grid", lambda: AbstractValue.Make(first.grid), weak_method(self._CalcGrid), {state}
+        )
+        self.DeclareAbstractOutputPort(
+            "localization", lambda: AbstractValue.Make(first), weak_method(self._CalcLocalization), {state}
+        )
+
+    def _known(self, context: Context) -> tuple[Localization, int]:
+        held: Any = context.get_abstract_state(int(self._state))
+        return held.get_value()
+
+    def _odometry(self, context: Context) -> np.ndarray:
+        return from_matrix(eval_typed(self, context, "X_OB", RigidTransform).GetAsMatrix4())
+
+    def _TakeScan(self, context: Context, state: State) -> EventStatus:
+        scan = eval_typed(self, context, "laser_scan", LaserScan)
+        known, index = self._known(context)
+        if scan.index in (-1, index):
+            return EventStatus.DidNothing()
+        after = localize(known, scan, self._odometry(context), self._config, X_BS=self._X_BS, seed=self._seed)
+        held: Any = state.get_mutable_abstract_state(int(self._state))
+        held.set_value((after, scan.index))
+        return EventStatus.Succeeded()
+
+    def _pose(self, context: Context) -> np.ndarray:
+        """The last scan's pose, and the odometry since."""
+        known, _ = self._known(context)
+        if known.X_OB is None:
+            return known.pose
+        return compose(known.pose, between(known.X_OB, self._odometry(context)))
+
+    def _CalcX_MB(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(RigidTransform(to_matrix(self._pose(context))))
+
+    def _CalcPose(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._pose(context))
+
+    def _CalcCovariance(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._known(context)[0].covariance.ravel())
+
+    def _CalcHealth(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.array([self._known(context)[0].health]))
+
+    def _CalcLost(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.array([float(self._known(context)[0].lost)]))
+
+    def _CalcGrid(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._known(context)[0].grid)
+
+    def _CalcLocalization(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._known(context)[0])
