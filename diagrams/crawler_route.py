@@ -47,7 +47,8 @@ class CrawlerRouteConfig:
     # "truth" closes the motions on the simulated pose, as the paper's learning does, in place of SLAM; "odometry" on
     # encoders and IMU, which drift from the grid.
     localisation: str = quantity("truth", choices=("truth", "odometry"))
-    # [m], [deg] How far the robot is off the middle of its cell and its heading at the start, at most.
+    # [m], [deg] How far the robot is off the middle of its cell and its heading at the start, at most; no more than
+    # 0.4 cells.
     start_offset: float = quantity(0.1, unit="m", low=0)
     start_heading_deg: float = quantity(5.0, unit="deg", low=0, high=22)
     # [s] The robot settles on the ground this long before an episode.
@@ -110,9 +111,8 @@ class CrawlerRouteEnv(DrakeGymEnv):
             plant=MultibodyPlantConfig(time_step=config.time_step, discrete_contact_approximation="lagged"),
             lidar=None,
         )
-        station.imu.period = 0.04  # flippers alone look at it
-        if config.localisation == "odometry":
-            station.imu.period = 0.02
+        # With the truth it is only the flippers that look at it.
+        station.imu.period = 0.02 if config.localisation == "odometry" else 0.04
         motions = MotionPrimitivesConfig(**{**vars(config.motions), "step": task.grid.cell})
         diagram = make_motions(
             station,
@@ -149,7 +149,7 @@ class CrawlerRouteEnv(DrakeGymEnv):
             reward=lambda system, context: 0.0,
             action_port_id="action",
             observation_port_id="cheat.X_WB",
-            reset_handler=place,
+            reset_handler=place,  # type: ignore[arg-type] # it is called with three
         )
         self.metadata = {"render_modes": []}  # the base class fills in what this environment does not have
         self.render_mode = render_mode
@@ -161,6 +161,7 @@ class CrawlerRouteEnv(DrakeGymEnv):
             return EventStatus.DidNothing() if method is None else method(context)
 
         self._driving = False
+        self._held = context.Clone()
         simulator.set_monitor(monitor)
 
     def reset(
@@ -176,20 +177,21 @@ class CrawlerRouteEnv(DrakeGymEnv):
         if not self.action_space.contains(np.int64(action)):
             raise InputError("not an action", where="CrawlerRouteEnv", value=action, valid=ACTIONS)
         context = self.simulator.get_mutable_context()
-        self._before, self._bumped, self._driving = self._pose(context), "", True
-        plant = self._plant
-        held = plant.GetPositions(self._plant_context).copy()
+        self._before, self._bumped, self._driving = self._pose(), "", True
+        self._held.SetTimeStateAndParametersFrom(context)
         X_WB, _, _, truncated, _ = super().step(np.array([float(action)]))
         self._driving = False
         pose = planar_pose(X_WB)
-        if self._status(context) != "done" and not self._bumped and not self._at_goal(pose):
+        if self._read("status") != "done" and not self._bumped and not self._at_goal(pose):
             self._bumped = "occupied"  # held up by something
         reached = self._at_goal(pose) and not self._bumped
         reward = self._reward(pose, int(action), reached)
         if self._bumped:
-            plant.SetPositions(self._plant_context, held)
-            plant.SetVelocities(self._plant_context, np.zeros(plant.num_velocities()))
-            pose = self._pose(context)
+            # All of it: what the robot believes must go back with it.
+            now = context.get_time()
+            context.SetTimeStateAndParametersFrom(self._held)
+            context.SetTime(now)
+            pose = self._pose()
         # The next step is not over because this one is; and one that was broken off does not go on.
         self._motions_context.SetDiscreteState(Motion().to_state())
         return self._observation(pose), reward, reached, truncated, self._info(pose, reached)
@@ -198,9 +200,10 @@ class CrawlerRouteEnv(DrakeGymEnv):
         """Puts the robot to its start, a little off, and lets it settle."""
         config = self.config
         x, y, heading = self._next_start
-        x, y = np.array([x, y]) + config.start_offset * self.np_random.uniform(-1, 1, 2)
+        offset = min(config.start_offset, 0.4 * self.task.grid.cell)
+        x, y = np.array([x, y]) + offset * self.np_random.uniform(-1, 1, 2)
         heading += np.deg2rad(config.start_heading_deg) * self.np_random.uniform(-1, 1)
-        X_WB = RigidTransform(RollPitchYaw(0, 0, heading), [x, y, self._base_height])
+        X_WB = RigidTransform(RollPitchYaw(0, 0, heading), np.array([x, y, self._base_height]))
         self._plant.SetFreeBodyPose(self._plant_context, self._base, X_WB)
         self.simulator.get_system().GetInputPort("action").FixValue(context, [-1.0])
         # The base class has initialised before it set the default state: drivers and encoders must do so again.
@@ -212,11 +215,11 @@ class CrawlerRouteEnv(DrakeGymEnv):
         """Ends the step when the motion has ended, the robot has left the free cells, or is at the goal."""
         if not self._driving:
             return EventStatus.DidNothing()
-        if self._status(context) in ("done", "failed"):
+        if self._read("status") in ("done", "failed"):
             return EventStatus.ReachedTermination(self.simulator.get_system(), "the motion has ended")
         # Looked at in every time step of the physics: no more than floors and a look-up.
         grid = self.task.grid
-        x, y, _ = self.simulator.get_system().GetOutputPort("cheat.X_WB").Eval(context).translation()
+        x, y, _ = self._read("cheat.X_WB").translation()
         i, j = math.floor((x - grid.origin[0]) / grid.cell), math.floor((y - grid.origin[1]) / grid.cell)
         kind = int(grid.kind[i, j]) if 0 <= i < grid.shape[0] and 0 <= j < grid.shape[1] else FENCE
         if kind != FREE:
@@ -245,12 +248,11 @@ class CrawlerRouteEnv(DrakeGymEnv):
         grid = self.task.grid
         return bool(grid.contains(pose[:2]) and self.task.goal_cells[tuple(grid.index_of(pose[:2]))])
 
-    def _status(self, context: Context) -> str:
-        status: str = self.simulator.get_system().GetOutputPort("status").Eval(context)
-        return status
+    def _read(self, port: str) -> Any:
+        return self.simulator.get_system().GetOutputPort(port).Eval(self.simulator.get_context())
 
-    def _pose(self, context: Context) -> np.ndarray:
-        return planar_pose(self.simulator.get_system().GetOutputPort("cheat.X_WB").Eval(context))
+    def _pose(self) -> np.ndarray:
+        return planar_pose(self._read("cheat.X_WB"))
 
     def _usable(self, pose: np.ndarray) -> np.ndarray:
         pose = np.asarray(pose, float)

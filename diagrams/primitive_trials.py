@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from naraha.models.worlds import World
@@ -85,7 +86,7 @@ def try_motion(
 ) -> Trial:
     """Drives a motion (index into `PRIMITIVES`) once. Start, heading, friction and bumps are drawn from `rng`."""
     seed = int(rng.integers(2**31))
-    world: World = GROUNDS[site.world](site.level, seed, float(rng.uniform(*config.friction[:2])))
+    world: World = GROUNDS[site.world](site.level, seed, float(rng.uniform(config.friction[0], config.friction[1])))
     nominal = int(rng.choice(site.headings)) * np.pi / 4
     yaw = nominal + np.deg2rad(config.heading_deg) * rng.uniform(-1, 1)
     slope = site.level if site.world == "pitch_slope" else 0.0
@@ -93,7 +94,7 @@ def try_motion(
     bump = site.level if site.world == "ridges" else 0.0
     place = [_PLACE + config.offset * rng.uniform(-1, 1), config.offset * rng.uniform(-1, 1), height + bump]
     X_WG = RigidTransform(RollPitchYaw(0, -slope, 0), np.zeros(3))
-    X_WB = X_WG @ RigidTransform(RollPitchYaw(0, 0, yaw), place)
+    X_WB = X_WG @ RigidTransform(RollPitchYaw(0, 0, yaw), np.array(place))
     # The station is built with the robot in the air before the obstacle: it must not start inside a slope or ridge.
     robot = replace(station.robot, start_xyz=[-1.0, 0.0, height + _ABOVE], start_yaw_deg=float(np.rad2deg(yaw)))
     # Level: before its first sample the IMU says so, and the odometry then sees the slope as a change.
@@ -107,7 +108,7 @@ def try_motion(
     diagram.GetInputPort("action").FixValue(context, [-1.0])
     simulator.AdvanceTo(_SETTLE)
 
-    def read() -> tuple[RigidTransform, np.ndarray, str]:
+    def read() -> tuple[Any, np.ndarray, Any]:
         ports = ("cheat.X_WB", "track_displacements", "status")
         pose, belts, status = (diagram.GetOutputPort(name).Eval(context) for name in ports)
         return pose, np.array(belts), status

@@ -87,6 +87,15 @@ def test_what_is_run_into_costs_and_the_robot_is_put_back(env):
         assert info["bumped"] == ""
 
 
+def test_by_odometry_too_the_robot_knows_where_it_is_after_it_was_put_back():
+    env = make(config=CrawlerRouteConfig(localisation="odometry", start_offset=0, start_heading_deg=0))
+    _, info = env.reset(seed=0)
+    for _ in range(3):
+        assert env.step(BACK)[4]["bumped"] == "occupied"
+    _, _, _, _, info = env.step(FORWARD)
+    assert info["pose"] == pytest.approx([1.25, 0.75, 0.0], abs=0.03)
+
+
 def test_what_holds_the_robot_up_is_run_into():
     task, start = lane()
     world = world_of(task.grid)
