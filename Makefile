@@ -8,11 +8,14 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.installed
 	$(BIN)/naraha survey --out out/survey
 
+# One process a core, each with one thread.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 test-all: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -m "slow or not slow" --hypothesis-profile=search
+	$(PYTEST) -m "slow or not slow" --hypothesis-profile=search
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
