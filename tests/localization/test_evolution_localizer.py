@@ -71,7 +71,7 @@ def evaluated(system, scan, X_OB):
     context = system.CreateDefaultContext()
     system.GetInputPort("laser_scan").FixValue(context, AbstractValue.Make(scan))
     system.GetInputPort("X_OB").FixValue(context, AbstractValue.Make(X_OB))
-    Simulator(system, context).Initialize()
+    Simulator(system, context).AdvanceTo(0.01)
     return context
 
 
@@ -100,7 +100,7 @@ def test_what_it_cannot_work_with_is_refused():
         EvolutionLocalizer(LocalizerConfig(method="magic"), grid=plan())
     system = EvolutionLocalizer(grid=plan())
     context = system.CreateDefaultContext()
-    system.GetInputPort("laser_scan").FixValue(context, AbstractValue.Make("no scan"))
+    system.GetInputPort("laser_scan").FixValue(context, AbstractValue.Make(object()))
     system.GetInputPort("X_OB").FixValue(context, AbstractValue.Make(RigidTransform()))
     with pytest.raises(PortError, match="laser_scan"):
-        Simulator(system, context).Initialize()
+        Simulator(system, context).AdvanceTo(0.01)
