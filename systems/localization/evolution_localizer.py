@@ -15,6 +15,10 @@ from .occupancy_grid import OccupancyGrid
 from .planar import between, compose, from_matrix, to_matrix
 from .scan_localization import Localization, LocalizerConfig, localize, start_localization
 
+# [s] Scans are looked for so long after the full period: of what happens at one instant, Drake shows every system the
+# state from before, and a scan that ends then would be taken a whole period late, with the odometry of then.
+_AFTER_SCAN = 1e-3
+
 
 class EvolutionLocalizer(LeafSystem):
     """
@@ -37,7 +41,8 @@ class EvolutionLocalizer(LeafSystem):
     (row S4-g), refined by Gauss-Newton on the likelihood field and fused with odometry; see `localize`. The map is the
     one that was given, or grows on the way when `config.mapping` is set.
 
-    - `laser_scan` (`LaserScan`): looked at every `period`; one with the index of the last, or -1, is ignored.
+    - `laser_scan` (`LaserScan`): looked at 1 ms after every `period`; one with the index of the last, or -1, is
+      ignored.
     - `X_OB` (RigidTransform): odometry, from any origin O; of it x, y and heading are used.
     - `X_MB` (RigidTransform), `pose` (3): x, y, heading in M [m, m, rad]. Between scans they go on with odometry.
     - `covariance` (9): of the last scan's pose, in the axes of M, row by row [m², m rad, rad²]. It grows along a bare
@@ -85,7 +90,7 @@ class EvolutionLocalizer(LeafSystem):
         odometry = self.DeclareAbstractInputPort("X_OB", AbstractValue.Make(RigidTransform()))
         self._state = self.DeclareAbstractState(AbstractValue.Make((first, -1)))
         state = self.abstract_state_ticket(self._state)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._TakeScan)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, _AFTER_SCAN, self._TakeScan)
         self.DeclareAbstractOutputPort(
             "X_MB",
             lambda: AbstractValue.Make(RigidTransform()),
