@@ -64,7 +64,7 @@ def survey(
         loaded.earlier = str(earlier)
     if operator is not None:
         if loaded.loop is None:
-            raise InputError("a tour has no ways to choose", where="--operator", value=operator, valid="stair_hall_loop")
+            raise InputError("a tour has no ways to choose", where="--operator", value=operator, valid="no tour")
         loaded.loop.survey.operator = operator
     raise typer.Exit(run(loaded, options))
 
@@ -134,6 +134,24 @@ def recover(
     given += [] if operator is None else [f"operator={operator}"]
     options = Options(out=out or Path("out/recover"), meshcat=meshcat, realtime_rate=realtime_rate)
     raise typer.Exit(run(load_scenario(RecoverScenario, scenario, [*given, *(settings or ())], seed), options))
+
+
+@app.command()
+def illuminate(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "construction_hall",
+    settings: Settings = None,
+    out: Out = None,
+    seed: Seed = None,
+    meshcat: Live = False,
+    realtime_rate: Rate = 0.0,
+) -> None:
+    """Plan routes and landmarks together, check them in physics, then measure the illuminance."""
+    from .illuminate import illuminate as run
+    from .illuminate import load_illuminate
+    from .mission import Options
+
+    options = Options(out=out or Path("out/illuminate"), meshcat=meshcat, realtime_rate=realtime_rate)
+    raise typer.Exit(run(load_illuminate(scenario, settings or (), seed), options))
 
 
 @app.command()

@@ -135,6 +135,7 @@ class MeasuringTour(LeafSystem):
         input_ports:
         - X_MB
         - illuminance
+        - lost
         output_ports:
         - goal
         - stop
@@ -145,9 +146,10 @@ class MeasuringTour(LeafSystem):
 
     - `X_MB` (RigidTransform): where the robot believes to be, in the map M.
     - `illuminance` (1): reading of the meter [lux].
+    - `lost` (1), optional: above 0.5 the robot does not know where it is, and stands until it does.
     - `goal` (2): the point to drive to now, in M [m]; the last one when the tour is done.
     - `stop` (1): 1 while the robot is to stand, else 0.
-    - `status` (str): "driving", "measuring" or "done".
+    - `status` (str): "driving", "measuring", "lost" or "done".
     - `tour` (`TourState`): where the tour stands, with all measurements.
 
     Raises:
@@ -169,12 +171,13 @@ class MeasuringTour(LeafSystem):
             raise ConfigError("stops", where="measuring_tour", key="stops", value=self._stops.tolist(), valid=valid)
         self.DeclareAbstractInputPort("X_MB", AbstractValue.Make(RigidTransform()))
         self.DeclareVectorInputPort("illuminance", 1)
+        lost = self.DeclareVectorInputPort("lost", 1).ticket()
         state = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(TourState())))
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._Step)
         self.DeclareVectorOutputPort("goal", 2, self._CalcGoal, {state})
-        self.DeclareVectorOutputPort("stop", 1, self._CalcStop, {state})
+        self.DeclareVectorOutputPort("stop", 1, self._CalcStop, {state, lost})
         self.DeclareAbstractOutputPort(
-            "status", lambda: AbstractValue.Make(""), weak_method(self._CalcStatus), prerequisites_of_calc={state}
+            "status", lambda: AbstractValue.Make(""), weak_method(self._CalcStatus), prerequisites_of_calc={state, lost}
         )
         self.DeclareAbstractOutputPort(
             "tour", lambda: AbstractValue.Make(TourState()), weak_method(self._CalcTour), prerequisites_of_calc={state}
@@ -196,15 +199,21 @@ class MeasuringTour(LeafSystem):
     def _is_done(self, context: Context) -> bool:
         return self._tour(context).index >= len(self._route)
 
+    def _is_lost(self, context: Context) -> bool:
+        connected = self.GetInputPort("lost").HasValue(context)
+        return connected and bool(eval_typed(self, context, "lost", np.ndarray)[0] > 0.5)
+
     def _CalcGoal(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._route[min(self._tour(context).index, len(self._route) - 1)])
 
     def _CalcStop(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, float(self._tour(context).stopped or self._is_done(context)))
+        stands = self._tour(context).stopped or self._is_done(context) or self._is_lost(context)
+        output.SetAtIndex(0, float(stands))
 
     def _CalcStatus(self, context: Context, output: AbstractValue) -> None:
         moving = "measuring" if self._tour(context).stopped else "driving"
-        output.set_value("done" if self._is_done(context) else moving)
+        under_way = "lost" if self._is_lost(context) else moving
+        output.set_value("done" if self._is_done(context) else under_way)
 
     def _CalcTour(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._tour(context))

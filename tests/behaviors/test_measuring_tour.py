@@ -87,6 +87,16 @@ def test_the_system_says_goal_and_stop():
     assert measured.illuminance == 7.0
 
 
+def test_a_robot_that_is_lost_stands():
+    inputs = {"X_MB": RigidTransform(), "illuminance": np.zeros(1), "lost": np.ones(1)}
+    root, tour = with_inputs(MeasuringTour(CONFIG, ROUTE, STOPS), **inputs)
+    simulator = Simulator(root)
+    simulator.AdvanceTo(0.5)
+    context = tour.GetMyContextFromRoot(simulator.get_context())
+    assert tour.GetOutputPort("stop").Eval(context)[0] == 1
+    assert tour.GetOutputPort("status").Eval(context) == "lost"
+
+
 @pytest.mark.parametrize(
     ("route", "stops", "words"),
     [

@@ -1,0 +1,190 @@
+"""The illuminance mission on a small plan: the run in parts, and by the command as a user gives it."""
+
+import csv
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from naraha.diagrams.illuminate import judged, load_illuminate, read_plan
+from naraha.diagrams.illuminate_log import PointRecord, RunRecord
+from naraha.diagrams.illuminate_planning import VerifyInPhysics, verification_of
+from naraha.diagrams.illuminate_run import run_once
+from naraha.diagrams.illuminate_station import MeasuringRunConfig, make_illuminate, straight_route
+from naraha.diagrams.mission import Ending
+from naraha.diagrams.scenario import dump_scenario
+from naraha.systems.behaviors import Measurement
+from naraha.systems.errors import InputError
+
+from tests.diagrams.test_missions import metrics_of, naraha
+
+ROOM = {
+    "size": [9.0, 7.0],
+    "resolution": 0.05,
+    "walls": [
+        [[0.1, 0.1], [8.9, 0.1], [8.9, 6.9], [6.0, 6.9], [6.0, 5.5], [4.5, 5.5], [4.5, 6.9], [0.1, 6.9], [0.1, 0.1]]
+    ],
+    "start": [1.5, 1.5, 0.0],
+    "measuring_points": [[4.0, 2.0], [7.0, 2.5], [3.0, 4.5]],
+}
+
+
+def room_file(folder, **changes):
+    path = folder / "room.yaml"
+    path.write_text(yaml.safe_dump(ROOM | changes))
+    return path
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory):
+    plan = room_file(tmp_path_factory.mktemp("plan"))
+    return load_illuminate("construction_hall", [f"plan={plan}", "planning=null", "recording=null"])
+
+
+@pytest.fixture(scope="module")
+def record(scenario):
+    plan = read_plan(scenario)
+    way = replace(straight_route(plan), sites=np.array([[7.5, 5.0]]))
+    return run_once(scenario, plan, way, 3, 0.4)
+
+
+def test_all_points_are_measured_where_they_were_asked_for(record):
+    assert record.succeeded
+    assert record.failed_at is None
+    assert [p.point for p in record.points] == [0, 1, 2]
+    for p, asked in zip(record.points, ROOM["measuring_points"], strict=True):
+        assert p.asked == tuple(asked)
+        assert 0 < p.error < 0.1
+        assert np.hypot(p.measured.x - p.true[0], p.measured.y - p.true[1]) < 0.05
+        assert p.measured.illuminance == pytest.approx(p.true_illuminance, rel=0.04)
+    metrics = record.metrics()
+    assert metrics["points_measured"] == metrics["points_asked"] == 3
+    assert metrics["max_position_error_m"] == max(p.error for p in record.points)
+    assert 0 < metrics["max_slam_error_m"] < 0.1
+    assert 9.0 < metrics["path_length_m"] < 14.0
+
+
+def test_a_run_is_over_when_the_robot_believes_to_be_elsewhere(scenario):
+    plan = read_plan(scenario)
+    record = run_once(scenario, plan, straight_route(plan), 0, 1e-4)
+    assert not record.succeeded
+    assert record.lost
+    assert "localisation was off" in record.ending.reason
+    seen = verification_of([record])
+    assert not seen.ok
+    np.testing.assert_allclose(seen.where, record.track[-1, 1:3])
+    assert seen.max_error == pytest.approx(record.slam_errors.max())
+
+
+def test_a_run_out_of_time_says_how_many_points_are_left(scenario):
+    plan = read_plan(scenario)
+    record = run_once(replace(scenario, duration=1.0), plan, straight_route(plan), 0, 0.4)
+    assert record.ending.status == "failed"
+    assert "3 points are not measured" in record.ending.reason
+    assert not record.lost
+    assert verification_of([record]).where is None
+    assert np.isnan(record.metrics()["max_position_error_m"])
+
+
+def run_with(error, status="done"):
+    measured = Measurement(0, 9.0, 1.0, 2.0, 300.0, 1.0, 5)
+    points = (PointRecord(4, (1.0, 2.0), measured, (1.0 + error, 2.0), 300.0), PointRecord(7, (5.0, 2.0)))
+    return RunRecord(Ending(status, "over"), points, np.zeros((2, 8)), np.zeros(2))
+
+
+def test_a_point_measured_too_far_off_fails_the_mission():
+    assert judged(run_with(0.3), 0.5) == Ending("done", "over")
+    assert judged(run_with(0.6), 0.5) == Ending("failed", "point 4 was measured 0.60 m from where it was asked for")
+    assert judged(run_with(0.6, "failed"), 0.5) == Ending("failed", "over")
+
+
+def test_the_worst_run_counts():
+    good, bad = run_with(0.1), run_with(0.1, "failed")
+    assert verification_of([good, good]).ok
+    assert not verification_of([good, bad, good]).ok
+
+
+def test_verification_travels_to_another_process_and_says_the_same_there(scenario):
+    run = MeasuringRunConfig(**{name: getattr(scenario, name) for name in MeasuringRunConfig.__dataclass_fields__})
+    verify = VerifyInPhysics(replace(run, duration=2.0, meter=replace(run.meter, noise=0.02)), 5, 0.4, runs=2)
+    again = pickle.loads(pickle.dumps(verify))
+    assert dump_scenario(again.config) == dump_scenario(verify.config)
+    assert (again.seed, again.slam_limit, again.runs) == (5, 0.4, 2)
+
+
+def test_the_robot_starts_where_the_plan_says(scenario):
+    plan = replace(read_plan(scenario), start=np.array([2.0, 3.0, 1.0]))
+    diagram = make_illuminate(scenario, plan, straight_route(plan), seed=0)
+    context = diagram.CreateDefaultContext()
+    for port in ("station.cheat.X_WB", "localizer.X_MB"):
+        X = diagram.GetOutputPort(port).Eval(context)
+        np.testing.assert_allclose(X.translation()[:2], [2.0, 3.0], atol=1e-6)
+        assert np.arctan2(*X.rotation().matrix()[1::-1, 0]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_command_plans_verifies_runs_and_leaves_its_products(tmp_path):
+    plan = room_file(tmp_path)
+    settings = [f"plan={plan}", "recording=null", "planning.rounds.shares=[0.2]", "planning.rounds.retries=0"]
+    settings += ["planning.rounds.evolution.generations=10", "hall.lamp_spacing=3.0"]
+    result = naraha("illuminate", "--out", tmp_path / "out", "--seed", 2, *(w for s in settings for w in ("--set", s)))
+    assert result.returncode == 0, result.stderr
+    metrics = metrics_of(tmp_path / "out")
+    assert metrics["rounds"] == 1
+    assert metrics["landmarks_per_round"] == str(metrics["landmarks"])
+    assert metrics["points_measured"] == 3
+    assert metrics["max_position_error_m"] < 0.185
+    for key in ("path_length_m", "max_slam_error_m", "planning_time_s"):
+        assert metrics[key] > 0
+    with (tmp_path / "out" / "points.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sorted(int(row["point"]) for row in rows) == [0, 1, 2]
+    assert max(float(row["error_m"]) for row in rows) == pytest.approx(metrics["max_position_error_m"], abs=1e-4)
+    with (tmp_path / "out" / "illuminance_map.csv").open() as file:
+        lux = np.array([[float(row["illuminance_lux"]), float(row["deviation_lux"])] for row in csv.DictReader(file)])
+    assert (lux[:, 0] > 0).all()
+    assert (lux[:, 1] >= 0).all()
+    assert (tmp_path / "out" / "rounds.csv").read_text().count("\n") == 2
+    assert (tmp_path / "out" / "landmarks.csv").read_text().count("\n") == metrics["landmarks"] + 1
+    for name in ("track.csv", "route.csv", "truth.txt", "trajectory.txt", "scenario.yaml"):
+        assert (tmp_path / "out" / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "settings", "words"),
+    [
+        ({}, ["plan=nowhere.yaml"], "plan: no such plan, got 'nowhere.yaml'"),
+        ({"image": "plan.png", "resolution": None}, [], "resolution: a plan without scale"),
+        ({"measuring_points": [[6.0, 6.0]]}, [], "measuring_points[0]: inside a wall"),
+        ({"measuring_points": [[5.0, 6.5]]}, [], "measuring_points[0]: no way leads there"),
+        ({}, ["hall.lamps=[]"], "hall.lamps: no lamp, got []"),
+        ({}, ["lidar=null"], "lidar: the run needs one"),
+        ({}, ["meter=null"], "meter: the run needs one"),
+        ({}, ["behaviors=mine"], "behaviors: no such file"),
+        ({}, ["sites=[[1.0]]"], "sites[0]: not a place"),
+        ({}, ["tour.tolerance=0"], "tour.tolerance: out of range"),
+        ({}, ["robot.model=pioneer"], "meter: the robot has no illuminance meter"),
+        ({}, ["slam_limit=-1"], "slam_limit: out of range"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path, changes, settings, words):
+    plan = room_file(tmp_path, **changes)
+
+    def build():
+        scenario = load_illuminate("construction_hall", [f"plan={plan}", "recording=null", *settings])
+        plan_read = read_plan(scenario)
+        make_illuminate(scenario, plan_read, straight_route(plan_read), seed=0)
+
+    with pytest.raises(InputError) as caught:
+        build()
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_whose_laser_is_blinded_stands_and_says_that_it_is_lost(scenario):
+    plan = read_plan(scenario)
+    blind = replace(scenario, lidar=replace(scenario.lidar, dropout=1.0), duration=60.0)
+    record = run_once(blind, plan, straight_route(plan), 0, 0.4)
+    assert "has lost its place" in record.ending.reason
+    assert record.lost
+    assert record.metrics()["path_length_m"] < 0.5
