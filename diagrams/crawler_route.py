@@ -53,8 +53,8 @@ class CrawlerRouteConfig:
     start_heading_deg: float = quantity(5.0, unit="deg", low=0, high=22)
     # [s] The robot settles on the ground this long before an episode.
     settle: float = quantity(0.1, unit="s", low=0)
-    # [s] Time step of the physics; up to 0.01 s the motions differ by less than 0.2 %.
-    time_step: float = quantity(0.01, unit="s", above=0)
+    # [s] Time step of the physics; on a floor 23 motions end within 2 mm of where they do with 0.004 s.
+    time_step: float = quantity(0.02, unit="s", above=0)
     # Speeds and tolerances of the motions; their step is the cell of the grid.
     motions: MotionPrimitivesConfig = field(default_factory=MotionPrimitivesConfig)
 

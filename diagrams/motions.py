@@ -25,9 +25,9 @@ def make_motions(
 ) -> Diagram:
     """Builds station → odometry → motions → station; with `localisation` "truth", the motions know the true pose.
 
-    Inputs: `action` (1), see `MotionPrimitives`. Outputs: `status` (str), `motion` (1), `track_displacements` (2), and
-    `cheat.X_WB`. Subsystems: `station`, `primitives`, `odometry` unless the truth is known, and `flipper_preset`,
-    always "auto", of a robot with flippers.
+    Inputs: `action` (1), see `MotionPrimitives`. Outputs: `status` (str), `motion` (1), `X_MB` (RigidTransform), the
+    pose that the motions go by, `track_displacements` (2), and `cheat.X_WB`. Subsystems: `station`, `primitives`,
+    `odometry` unless the truth is known, and `flipper_preset`, always "auto", of a robot with flippers.
 
     Args:
         X_OB0: where the odometry begins; where the scenario says that the robot stands when not given.
@@ -36,13 +36,13 @@ def make_motions(
     station = make_station(config, seed=seed, world=world, meshcat=meshcat)
     builder.AddSystem(station)
     motions = builder.AddNamedSystem("primitives", MotionPrimitives(primitives))
-    if localisation == "truth":
-        connect(builder, station, "cheat.X_WB", motions, "X_MB")
-    else:
+    pose = station.GetOutputPort("cheat.X_WB")
+    if localisation != "truth":
         odometry = builder.AddNamedSystem("odometry", Odometry6Dof(X_OB0=X_OB0 or config.robot.X_WB()))
         connect(builder, station, "track_displacements", odometry)
         connect(builder, station, "rpy", odometry)
-        connect(builder, odometry, "X_OB", motions, "X_MB")
+        pose = odometry.GetOutputPort("X_OB")
+    builder.Connect(pose, motions.GetInputPort("X_MB"))
     connect(builder, motions, "twist_command", station)
     if station.HasInputPort("flipper_preset"):
         preset = builder.AddNamedSystem("flipper_preset", ConstantValueSource(Value("auto")))
@@ -50,6 +50,7 @@ def make_motions(
     builder.ExportInput(motions.GetInputPort("action"), "action")
     for name in ("status", "motion"):
         builder.ExportOutput(motions.GetOutputPort(name), name)
+    builder.ExportOutput(pose, "X_MB")
     for name in ("track_displacements", "cheat.X_WB"):
         builder.ExportOutput(station.GetOutputPort(name), name)
     diagram = builder.Build()
