@@ -8,6 +8,7 @@ from naraha.systems.changes import ChangedObject, SurveyUpdate, read_survey, wri
 from naraha.systems.display import SemanticDisplay
 from naraha.systems.errors import ConfigError
 from naraha.systems.files import replacing
+from naraha.systems.hazards import SemanticMap
 from naraha.systems.sensing import write_cloud, write_tum
 from naraha.systems.slam import Odometry6Dof
 from naraha.systems.tracking import KanayamaTracking, WaypointTour
@@ -23,7 +24,7 @@ from .slam import add_maps, add_matching, slam_metrics, write_occupancy
 from .station import X_B, make_station
 from .survey_drawing import draw_survey
 from .survey_log import SurveyLog
-from .survey_loop import add_loop
+from .survey_loop import add_loop, add_loop_map
 from .survey_scenario import SurveyScenario
 from .wiring import connect, export_outputs
 
@@ -63,10 +64,17 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
         )
     connect(builder, slam, "X_MB", tracking)
     if scenario.loop is not None:
-        if not builder.HasSubsystemNamed("semantic_map"):
+        if fusion is None or scenario.head is None:
             raise ConfigError(
                 "a loop needs a semantic map", key="loop", valid="null, or a scenario with fusion and head"
             )
+        loop_map = add_loop_map(
+            builder,
+            SemanticMap(fusion.semantic_map, X_BS=X_BS),
+            survey_map=survey_map,
+            map_source=map_source,
+            period=scenario.loop.dose_period,
+        )
         add_loop(
             builder,
             scenario.loop,
@@ -74,7 +82,7 @@ def make_survey(scenario: SurveyScenario, meshcat: Meshcat | None = None) -> Dia
             station=station,
             slam=slam,
             survey_map=survey_map,
-            semantic_map=builder.GetSubsystemByName("semantic_map"),
+            semantic_map=loop_map,
             tracking=tracking,
             meshcat=meshcat,
         )

@@ -76,7 +76,7 @@ class SurveyLog(DiagramReader):
     def _goal_in_words(self) -> str:
         if self._touches is None:
             return f"waypoint {int(self._last_waypoint[0]) + 1} of {len(self.scenario.tour.waypoints)}"
-        x, y = self.read("loop.goal")
+        x, y = self.read("loop.survey").goal
         return f"({x:.1f}, {y:.1f}) m, in the phase '{self.read('loop.phase')}'"
 
     def status_line(self, context: Context) -> str:

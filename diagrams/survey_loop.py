@@ -7,6 +7,7 @@ from naraha.models.worlds import Solid, World
 from naraha.systems.config import quantity
 from naraha.systems.display import RouteDisplay
 from naraha.systems.drive import ModeSwitch, ModeSwitchConfig
+from naraha.systems.hazards import SemanticMap
 from naraha.systems.routes import (
     DistinctRoutes,
     LoopState,
@@ -19,9 +20,11 @@ from naraha.systems.routes import (
     VoxelWorldConfig,
 )
 from naraha.systems.tracking import PathFollower, PathFollowerConfig
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.primitives import ZeroOrderHold
 from scipy.ndimage import binary_dilation, label
 from scipy.spatial import KDTree
 
@@ -43,16 +46,38 @@ class LoopStages:
 
     # What the robot can drive over: the name of a file beside its model, or a YAML file.
     ability: str = "ability"
-    # [m] Steps that are driven over, in place of those of the ability; null keeps these. A narrow piece of debris tips
-    # the robot over that climbs a wide step of the same height.
+    # [m] Steps that are driven over, in place of those of the ability; null keeps these. On a narrow piece of debris
+    # higher than the belly clears (0.045 m) a robot gets stuck that climbs a wide step four times as high.
     max_step: float | None = quantity(None, unit="m", above=0)
     survey: SurveyLoopConfig = field(default_factory=SurveyLoopConfig)
     # Decisions need a map as old as this at most, and every look at it takes as long as some scans do.
     world: VoxelWorldConfig = field(default_factory=lambda: VoxelWorldConfig(period=3.0))
+    # [s] How old the dose field may be that ways are chosen by: its estimate takes longer than the rest of the map.
+    dose_period: float = quantity(10.0, unit="s", above=0)
     learner: RouteLearnerConfig = field(default_factory=RouteLearnerConfig)
     routes: RoutesConfig = field(default_factory=RoutesConfig)
     follower: PathFollowerConfig = field(default_factory=PathFollowerConfig)
     mode_switch: ModeSwitchConfig = field(default_factory=ModeSwitchConfig)
+
+
+def add_loop_map(
+    builder: DiagramBuilder,
+    semantic_map: SemanticMap,
+    *,
+    survey_map: System,
+    map_source: tuple[System, str],
+    period: float,
+) -> System:
+    """Adds `semantic_map` as `loop_map`: what the detectors found, with a dose field taken every `period` [s]."""
+    loop_map = builder.AddNamedSystem("loop_map", semantic_map)
+    held = builder.AddNamedSystem("dose_hold", ZeroOrderHold(period, AbstractValue.Make(object())))
+    builder.Connect(builder.GetSubsystemByName("dose").GetOutputPort("dose_field"), held.get_input_port())
+    builder.Connect(held.get_output_port(), loop_map.GetInputPort("dose_field"))
+    connect(builder, *map_source, loop_map, "map_M")
+    connect(builder, survey_map, "keyframes", loop_map)
+    connect(builder, builder.GetSubsystemByName("water"), "water_probability", loop_map)
+    connect(builder, builder.GetSubsystemByName("heat"), "heat_probability", loop_map)
+    return loop_map
 
 
 def add_loop(
@@ -194,6 +219,9 @@ def loop_metrics(state: LoopState, touches: TouchCount) -> dict[str, float]:
     return {
         "legs": state.legs,
         "looks": state.looks,
+        "goals_passed": state.passed,
+        "takeovers": state.held,
+        "stalled": state.stalled,
         "routes_offered": state.offered,
         "routes_closed": state.closed,
         "returned_home": int(state.returned),

@@ -52,13 +52,13 @@ class SurveyLoop(LeafSystem):
     Decides where a survey goes, see `next_state`: it looks around, chooses the look that tells most for its time
     (`find_goals`), has the way learnt, offers the routes, drives the chosen one, turns to the heading of the look and
     stands still there. A route that a newer map closes, and a goal that was seen on the way, are given up and the goal
-    chosen anew. While somebody else drives the loop rests, and begins where the robot then is. When nothing reachable
-    is unseen or the time budget ends, the robot goes home.
+    chosen anew. A robot that is caught on something goes back a little. While somebody else drives the loop rests, and
+    begins where the robot then is. When nothing reachable is unseen or the time budget ends, the robot goes home.
 
     - `route_grid` (`RouteGrid`), `voxels` (`Voxels`), `interest` (array (nx, ny) [bit], optional): the newest map, as
       from a `VoxelWorld`. `X_MB` (RigidTransform): base B in map M.
     - `learning` (`LearningProgress`), `routes` (tuple of `Route`): what a `RouteLearner` and `DistinctRoutes` say about
-      `start` (3: x, y, heading [m, m, rad]) and `goal` (2: x, y [m]), NaN when there is no goal.
+      `start` (3: x, y, heading [m, m, rad]) and `goal` (2: x, y [m]); NaN when there is nothing to learn, as under way.
     - `follower_status` (str), `follower_pose` (3), `follower_twist` (2): of a `PathFollower` that is given `route`
       (`Route`, without points unless it is to be driven).
     - `choice` (1): index of the route that the operator wants, negative as long as none; optional with `auto`.
@@ -150,7 +150,8 @@ class SurveyLoop(LeafSystem):
         output.SetFromVector(np.array(self._held(context).start))
 
     def _CalcGoal(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.array(self._held(context).goal))
+        held = self._held(context)
+        output.SetFromVector(np.array(held.goal if held.phase in ("learn", "offer") else (np.nan, np.nan)))
 
     def _CalcRoute(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._held(context).route)
@@ -176,6 +177,8 @@ class SurveyLoop(LeafSystem):
         twist = np.zeros(2)
         if held.phase == "drive":
             twist = eval_typed(self, context, "follower_twist", np.ndarray)
+        elif held.phase == "back":
+            twist[0] = -config.back_speed
         elif held.phase == "face" and held.view is not None:
             turn = heading_error(held.view.heading, self._pose(context))
             slowest = min(config.min_turn_rate, config.turn_rate)

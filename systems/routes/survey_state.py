@@ -11,7 +11,7 @@ from .route import Route
 from .route_grid import RouteGrid
 from .voxels import Voxels
 
-PHASES = ("wait", "choose", "learn", "offer", "drive", "face", "look", "held", "done")
+PHASES = ("wait", "choose", "learn", "offer", "drive", "back", "face", "look", "held", "done")
 OPERATORS = ("auto", "prompt")
 
 
@@ -29,10 +29,17 @@ class SurveyLoopConfig:
     # [s] A leg ends without arrival after this multiple of its predicted time, and when the path was left this long.
     slow: float = quantity(3.0, low=1)
     off_time: float = quantity(3.0, unit="s", low=0)
+    # [s] A robot that has not moved for this long under way is caught on something: it goes back the way it came.
+    stall_time: float = quantity(8.0, unit="s", above=0)
+    # [m/s], [s] How fast and how long.
+    back_speed: float = quantity(0.15, unit="m/s", low=0)
+    back_time: float = quantity(3.0, unit="s", low=0)
     # Goals without a way that are tried one after the other before the robot goes home, and tries at the way home.
     most_failures: int = quantity(8, low=0)
     # [-] A goal of which only this share of what it promised is still to be seen is let go on the way.
     keep_gain: float = quantity(0.3, low=0, high=1)
+    # [s] How long the robot waits for a map in which there is free ground around it.
+    patience: float = quantity(30.0, unit="s", above=0)
     # [m] The robot may stand this far from a free cell: routes begin at the nearest.
     snap: float = quantity(0.5, unit="m", above=0)
     # [rad] Largest error of the heading at a look. [1/s], [rad/s] Gain and yaw rates of turning to it.
@@ -61,8 +68,10 @@ class LoopState:
         views: looks that took their time, and goals that were given up. looks: all that were taken. short: the last
             one that had its answers early.
         offers: routes that the operator may choose from. chosen: which one is driven, -1 for none yet.
+        moved: when and where (x, y, heading) the robot last moved under way [s; m, m, rad].
         legs: legs driven to their end. offered: routes offered so far. closed: legs ended by a newer map.
         passed: goals let go because they were seen on the way. held: how often somebody else took over.
+        stalled: how often the robot was caught on something.
         failures: goals without a way, one after the other. returned: whether the robot is back home.
         reason: why the survey goes home or is done.
     """
@@ -80,7 +89,9 @@ class LoopState:
     short: View | None = None
     offers: tuple[Route, ...] = ()
     chosen: int = -1
+    moved: tuple[float, float, float, float] = (0.0, np.nan, np.nan, np.nan)
     legs: int = 0
+    stalled: int = 0
     offered: int = 0
     closed: int = 0
     passed: int = 0

@@ -11,6 +11,9 @@ from .route_config import RoutesConfig
 from .route_grid import RouteGrid
 from .survey_state import LoopState, Surroundings, SurveyLoopConfig
 
+# [m], [rad] A robot that stays within this has not moved.
+_STILL = 0.1
+
 
 def next_state(
     state: LoopState, now: float, here: Surroundings, config: SurveyLoopConfig, routes: RoutesConfig | None = None
@@ -51,6 +54,8 @@ def next_state(
         return to("drive", chosen=cheapest)
     if state.phase == "drive":
         return _driven(state, now, here, config)
+    if state.phase == "back":
+        return to("choose") if spent >= config.back_time else state
     if state.phase == "face":
         assert state.view is not None
         turned = abs(heading_error(state.view.heading, here.pose)) < config.face_tolerance
@@ -78,7 +83,9 @@ def _chosen(
 ) -> LoopState:
     start = _snapped(here.pose, here.grid, config.snap)
     if start is None:  # the next map may know better
-        return replace(state, homeward=True, reason="no free ground around the robot") if _late(state, now) else state
+        if now - state.since < config.patience:
+            return state
+        return replace(state, phase="done", since=now, reason="no free ground around the robot; no way home", view=None)
     reason = state.reason
     if not reason and now >= config.time_budget:
         reason = "the time budget is over"
@@ -116,6 +123,13 @@ def _driven(state: LoopState, now: float, here: Surroundings, config: SurveyLoop
         if state.homeward:
             return replace(ended, phase="done", returned=True)
         return replace(ended, phase="face")
+    x, y, heading = here.pose.tolist()
+    since, *last = state.moved
+    turned = abs(heading_error(last[2], here.pose)) if np.isfinite(last[2]) else np.inf
+    if not (np.hypot(x - last[0], y - last[1]) < _STILL and turned < _STILL) or since < state.since:
+        state = replace(state, moved=(now, x, y, heading))
+    elif now - since > config.stall_time:
+        return replace(_given_up(ended, now, config), phase="back", stalled=state.stalled + 1)
     if (here.driving == "off the route" and spent > config.off_time) or spent > config.slow * route.time_s + 10:
         return _given_up(ended, now, config)
     if closed_ahead(route, here.grid, here.pose):
@@ -170,10 +184,6 @@ def _given_up(state: LoopState, now: float, config: SurveyLoopConfig) -> LoopSta
     return replace(
         state, phase="choose", since=now, views=views, view=None, offers=(), chosen=-1, failures=state.failures + 1
     )
-
-
-def _late(state: LoopState, now: float) -> bool:
-    return now - state.since > 60.0 and not state.homeward
 
 
 def _snapped(pose: np.ndarray, grid: RouteGrid, reach: float) -> np.ndarray | None:

@@ -41,8 +41,13 @@ def make_voxels(cloud: PointCloud, grid: RouteGrid, *, voxel: float, max_dose_ra
     ground when its centre is at most `step` [m] above the ground of its cell of `grid`, and else occupied.
     """
     points = map_points(cloud)
-    index, which = np.unique(np.floor(points.xyz / voxel).astype(np.int64), axis=0, return_inverse=True)
-    which, count = which.reshape(-1), len(index)
+    cells = np.floor(points.xyz / voxel).astype(np.int64)
+    low = cells.min(axis=0, initial=0)
+    shape = cells.max(axis=0, initial=0) - low + 1
+    # One number a voxel is sorted much faster than three.
+    numbers, which = np.unique(np.ravel_multi_index(tuple((cells - low).T), tuple(shape)), return_inverse=True)
+    index = np.column_stack(np.unravel_index(numbers, tuple(shape))).astype(np.int64) + low
+    count = len(index)
     kind = np.full(count, OCCUPIED, np.uint8)
     centres = (index + 0.5) * voxel
     inside = grid.contains(centres[:, :2])

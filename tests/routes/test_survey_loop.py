@@ -147,6 +147,17 @@ def test_a_robot_carried_off_its_path_chooses_anew():
     assert robot.until("choose").failures == 1
 
 
+def test_a_robot_that_is_caught_goes_back_and_chooses_anew():
+    robot = Robot()
+    robot.driving = "driving"
+    robot.until("drive")
+    goal = robot.state.view
+    state = robot.until("back", steps=20)
+    assert state.stalled == 1
+    assert goal in state.views
+    assert robot.until("choose", steps=10).failures == 1
+
+
 def test_flippers_climb_before_a_rise_and_not_on_the_flat():
     grid, _ = hall()
     height = np.maximum(np.arange(80)[:, None] * 0.1 - 3.0, 0) * 0.5 * np.ones((80, 50))
