@@ -69,11 +69,15 @@ def mirror_images(
     tree = KDTree(water_M[:, :2])
     found = []
     for keyframe in keyframes:
-        p_MP = transform_points(keyframe.X_MB.GetAsMatrix4(), keyframe.p_BP.astype(float))
-        p_MP = p_MP[p_MP[:, 2] < surface - config.mirror_depth]
         p_MS = keyframe.X_MB @ p_BS
-        if not len(p_MP) or p_MS[2] <= surface:
+        if p_MS[2] <= surface:
             continue
+        # Few points lie so low: only these are looked at in full.
+        X_MB, p_BP = keyframe.X_MB.GetAsMatrix34(), keyframe.p_BP
+        low = p_BP @ X_MB[2, :3].astype(np.float32) < surface - config.mirror_depth - X_MB[2, 3]
+        if not low.any():
+            continue
+        p_MP = transform_points(keyframe.X_MB.GetAsMatrix4(), p_BP[low].astype(float))
         share = (p_MS[2] - surface) / (p_MS[2] - p_MP[:, 2])
         crossing = p_MS[:2] + share[:, None] * (p_MP[:, :2] - p_MS[:2])
         found.append(p_MP[tree.query(crossing)[0] <= config.mirror_gap])
