@@ -21,10 +21,11 @@ class RecoveryPlannerConfig:
 
     # Half of a segment, in units before and behind the one that is stuck, with which recoveries are proposed first.
     half_segment: int = quantity(2, low=1)
-    # Heights of the target over where the middle of the segment is.
-    lifts: list[float] = quantity([0.14, 0.18], unit="m", min_length=1)
+    # Heights of the target over where the middle of the segment is. With the slack of one unit, five straight units
+    # stand 0.24 m high in the middle: a lower target is passed on the way.
+    lifts: list[float] = quantity([0.24, 0.16], unit="m", min_length=1)
     # How far the middle of the segment moves ahead: half of what the control point does.
-    forward: float = quantity(0.05, unit="m")
+    forward: float = quantity(0.09, unit="m")
     # Speed of driving moves, and the wheel torque of the move with more of it.
     speed: float = quantity(0.1, unit="m/s", above=0.0)
     more_torque: float = quantity(0.9, unit="N m", above=0.0)
