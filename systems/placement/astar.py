@@ -27,8 +27,9 @@ def find_path(
     key = np.empty(len(neighbour) + 1)
     item = np.empty(len(neighbour) + 1, np.int64)
     size = 1
+    gx, gy = nodes[goal, 0], nodes[goal, 1]
     cost[start] = 0.0
-    key[0], item[0] = math.hypot(nodes[goal, 0] - nodes[start, 0], nodes[goal, 1] - nodes[start, 1]), start
+    key[0], item[0] = math.sqrt((gx - nodes[start, 0]) ** 2 + (gy - nodes[start, 1]) ** 2), start
     while size > 0:
         a = item[0]
         size -= 1
@@ -43,7 +44,7 @@ def find_path(
             total = cost[a] + length[e]
             if total < cost[b]:
                 cost[b], before[b] = total, a
-                ahead = math.hypot(nodes[goal, 0] - nodes[b, 0], nodes[goal, 1] - nodes[b, 1])
+                ahead = math.sqrt((gx - nodes[b, 0]) ** 2 + (gy - nodes[b, 1]) ** 2)
                 push(key, item, size, total + ahead, b)
                 size += 1
     if not np.isfinite(cost[goal]):
