@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from naraha.diagrams.calibrate import load_calibrate
+from naraha.diagrams.calibrate_primitives import calibrate_primitives
 from naraha.diagrams.crawler_route import NAME, CrawlerRouteConfig
 from naraha.diagrams.grid_world import world_of
+from naraha.diagrams.mission import Options
 from naraha.diagrams.motions import make_motions
-from naraha.diagrams.primitive_trials import PrimitiveTrials, measure, sites, try_motion
+from naraha.diagrams.primitive_trials import PrimitiveTrials, sites, try_motion
 from naraha.models.worlds import Solid
 from naraha.systems.drive import PRIMITIVES, MotionPrimitivesConfig
 from naraha.systems.errors import ConfigError, InputError
@@ -16,16 +18,20 @@ from naraha.systems.routes import (
     FREE,
     OCCUPIED,
     WATER,
+    Ground,
     PolicyLookup,
     RouteGrid,
     RoutePolicy,
     RouteTask,
+    read_primitives,
     solve,
 )
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
+
+from tests.diagrams.test_missions import metrics_of, naraha
 
 FORWARD, BACK, LEFT, RIGHT = range(4)
 
@@ -226,12 +232,34 @@ class TestPrimitives:
         assert trial.moved[0] < -0.05
         assert trial.slip > 0.1
 
-    def test_every_ground_has_every_motion(self, station):
-        grounds, rows = next(measure(station, PrimitiveTrials(trials=2), 0))
-        assert list(grounds) == ["flat"]
-        assert list(grounds["flat"].motions) == list(PRIMITIVES)
-        assert len(rows) == 8
-        outcome = grounds["flat"].motions["forward"]
-        assert outcome.trials == 2
-        assert outcome.failed == 0
+    def test_the_command_writes_what_the_motions_come_to(self, station, tmp_path, monkeypatch):
+        station.primitives.trials = 2
+        flat = {"flat": sites(station.primitives)["flat"]}
+        for module in ("primitive_trials", "calibrate_primitives"):
+            monkeypatch.setattr(f"naraha.diagrams.{module}.sites", lambda config: flat)
+        assert calibrate_primitives(station, Options(out=tmp_path)) == 0
+        primitives = read_primitives(tmp_path / "primitives.yaml")
+        assert (primitives.robot, primitives.step) == ("crawler", 0.5)
+        assert list(primitives.grounds["flat"].motions) == list(PRIMITIVES)
+        outcome = primitives.grounds["flat"].motions["forward"]
+        assert (outcome.trials, outcome.failed) == (2, 0)
         assert outcome.mean[0] == pytest.approx(0.5, abs=0.01)
+        rows = (tmp_path / "trials.csv").read_text().splitlines()
+        assert len(rows) == 1 + 2 * 4
+        assert metrics_of(tmp_path)["drives"] == 8
+
+    def test_ctrl_c_keeps_what_was_driven_and_writes_no_half_a_file(self, station, tmp_path, monkeypatch):
+        def broken_off(*arguments):
+            yield {"flat": Ground()}, [["flat", "forward", 0, 0.5, 0.0, 0.0, True, 2.0, 0.0, 0.0]]
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("naraha.diagrams.calibrate_primitives.measure", broken_off)
+        assert calibrate_primitives(station, Options(out=tmp_path)) != 0
+        assert metrics_of(tmp_path)["status"] == "interrupted"
+        assert (tmp_path / "trials.csv").read_text().count("flat") == 1
+        assert not (tmp_path / "primitives.yaml").exists()
+
+    def test_another_kind_of_calibration_is_refused(self, tmp_path):
+        result = naraha("calibrate", "--kind", "colour", "--out", tmp_path)
+        assert result.returncode == 2
+        assert "--kind: unknown calibration, got 'colour' (valid: ability, primitives)" in result.stderr
