@@ -8,6 +8,7 @@ import numpy as np
 from naraha.models.worlds import World
 from naraha.systems.config import quantity
 from naraha.systems.drive import PRIMITIVES, MotionPrimitivesConfig
+from naraha.systems.drive.motion_primitives import BACK, FORWARD
 from naraha.systems.routes import Ground, outcome_of
 from naraha.systems.tracking import planar_pose, pose_error
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -126,12 +127,14 @@ def try_motion(
         tilt = max(tilt, float(np.arccos(np.clip(X_WB.rotation().matrix()[2, 2], -1, 1))))
     moved = pose_error(start, planar_pose(X_WB))
     driven = now - belts
-    if action < 2:
+    if action in (FORWARD, BACK):
         length = np.sqrt(2.0) if round(nominal / (np.pi / 4)) % 2 else 1.0
         moved[:2] /= length
-        slip = 1 - abs(moved[0]) * length / max(abs(driven.mean()) * np.cos(slope if nominal % np.pi < 1 else 0), 1e-6)
+        # The way is seen from above; up and down a slope the belts have more of it.
+        seen = abs(driven.mean()) * (np.cos(slope) if abs(np.cos(nominal)) > 0.9 else 1.0)
+        slip = 1 - abs(moved[0]) * length / max(seen, 1e-6)
     else:
-        gauge = getattr(station.robot.known_driver(), "gauge", 1.0)
+        gauge = station.robot.known_driver().gauge
         angle = np.arctan2(np.sin(moved[2] - turned), np.cos(moved[2] - turned))
         slip = 1 - abs(angle) * gauge / max(abs(driven[1] - driven[0]), 1e-6)
     return Trial(moved, status == "done", context.get_time() - _SETTLE, float(slip), tilt)
