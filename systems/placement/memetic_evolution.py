@@ -55,7 +55,7 @@ def evolve_together(
             if k % 2:
                 shorten(order, problem.lengths)
         all_routes = np.unique(np.array([pair[0], *children]), axis=0)
-        mothers = sets[rng.integers(len(sets), size=(len(sets), 2))]
+        mothers = sets[rng.integers(len(sets), size=(max(len(sets), 2), 2))]  # few sites have few sets
         young = [vary_sites(a, b, sites, config.flip, least, state) for a, b in mothers]
         young[0], _, more = improve_sites(pair[0], young[0], least, tables, weights, state)
         other = routes[rng.integers(len(routes))]
