@@ -17,14 +17,16 @@ from .planar import difference, wrap
 def likelihood_fitness(
     signed: np.ndarray, ox: float, oy: float, res: float, reach: float, points: np.ndarray, X: np.ndarray, sigma: float
 ) -> float:
-    """Mean over the beams of exp(-d² / (2 σ²)), d the distance of the beam's end from the map's surface; in [0, 1]."""
+    """Mean over the beams of exp(-d² / (2 σ²)), d the distance of the beam's end from the map's surface; in [0, 1].
+
+    A beam that comes from behind the surface meets another one, which the map may not have yet: the far side of a box.
+    """
     c, s = math.cos(X[2]), math.sin(X[2])
     total, scale = 0.0, 0.5 * (res / sigma) ** 2
     for k in range(len(points)):
-        x = (X[0] + c * points[k, 0] - s * points[k, 1] - ox) / res
-        y = (X[1] + s * points[k, 0] + c * points[k, 1] - oy) / res
-        d, _, _ = look_up(signed, x, y, reach)
-        if abs(d) < reach:
+        px, py = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
+        d, gx, gy = look_up(signed, (X[0] + px - ox) / res, (X[1] + py - oy) / res, reach)
+        if abs(d) < reach and gx * px + gy * py <= 0.0:
             total += math.exp(-d * d * scale)
     return total / max(len(points), 1)
 
@@ -205,7 +207,8 @@ def normal_equations(
 
     The error of beam k is r_k = d(X p_k) = independent noise (deviation `noise`) + what all beams on a patch share
     (`shared`: the map is off there): Σ = noise² W⁻¹ + shared² 1 1ᵀ a patch, its inverse by Sherman and Morrison. W are
-    the weights 1 / (1 + (r / robust)²)² of Geman and McClure. T is what A would be if every normal were turned by 90°.
+    the weights 1 / (1 + (r / robust)²)² of Geman and McClure. Beams from behind a surface have no say, as in
+    `likelihood_fitness`. T is what A would be if every normal were turned by 90°.
 
     Returns:
         A = Jᵀ Σ⁻¹ J (3, 3), T (3, 3), g = Jᵀ Σ⁻¹ r (3,), robust sum of squares over noise², number of beams used.
@@ -233,7 +236,7 @@ def normal_equations(
                 break
         px, py = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
         d, gx, gy = look_up(signed, (X[0] + px - ox) / res, (X[1] + py - oy) / res, reach)
-        if abs(d) > 0.95 * reach:
+        if abs(d) > 0.95 * reach or gx * px + gy * py > 0.0:
             cost += robust**2
             continue
         r = d * res
