@@ -124,7 +124,8 @@ def _plate(rng: np.random.Generator, unit: int, stuck: bool, friction: float | N
 
 def _passage(rng: np.random.Generator, unit: int, stuck: bool, friction: float | None, s: SnakeModel) -> StuckCase:
     angle, side = np.deg2rad(rng.uniform(21, 28)), rng.choice([-1.0, 1.0])
-    mu = rng.uniform(0.5, 0.9) if friction is None else friction
+    drawn = rng.uniform(0.5, 0.9)
+    mu = drawn if friction is None else friction
     offset = 2 * s.half_length * np.sin(angle)  # of the bent-out unit, in free air
     squeeze = rng.uniform(0.03, 0.045) if stuck else -rng.uniform(0.02, 0.05)
     width = s.tread + s.wheel_width + offset - squeeze
@@ -176,8 +177,10 @@ def _stone(rng: np.random.Generator, unit: int, stuck: bool, friction: float | N
     # Higher, and the joints give way around the stone: then its own shape holds the robot, without any friction.
     rise = rng.uniform(0.006, 0.0095) if stuck else -rng.uniform(0.006, 0.015)
     radius, width = rng.uniform(0.06, 0.1), rng.uniform(0.09, 0.12)
-    mu = rng.uniform(0.8, 1.2) if friction is None else friction
-    return _on_stone(rise, radius, width, rng.uniform(-0.06, 0.06), mu, unit, stuck, s)
+    drawn, along = rng.uniform(0.8, 1.2), rng.uniform(-0.06, 0.06)
+    # Right above the stone a pitch joint gives way on both sides of it, and again the shape holds.
+    along = float(np.copysign(max(abs(along), 0.012), along))
+    return _on_stone(rise, radius, width, along, drawn if friction is None else friction, unit, stuck, s)
 
 
 def _on_stone(

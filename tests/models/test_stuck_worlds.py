@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from naraha.models.snake.snake_model import SnakeModel
@@ -18,6 +20,16 @@ def test_worlds_differ_by_seed_and_repeat_with_it(kind, stuck):
     assert first.world != other.world
     np.testing.assert_array_equal(first.joint_command, again.joint_command)
     assert 1 <= first.unit <= SnakeModel().units - 2
+
+
+@every_kind
+def test_another_friction_changes_nothing_else(kind):
+    case, slick = stuck_case(kind, 7), stuck_case(kind, 7, friction=0.0)
+    assert slick.unit == case.unit
+    np.testing.assert_array_equal(slick.joint_command, case.joint_command)
+    np.testing.assert_array_equal(slick.X_WB.GetAsMatrix4(), case.X_WB.GetAsMatrix4())
+    for solid, other in zip(case.world.solids, slick.world.solids, strict=True):
+        assert replace(other, friction=solid.friction) == solid
 
 
 @every_kind
