@@ -25,6 +25,7 @@ from naraha.systems.placement import (
 from pydrake.common.yaml import yaml_load_typed
 from rich.console import Console
 
+from .illuminate_drawing import draw_evolution, draw_rounds, save_figure
 from .illuminate_log import RunRecord
 from .illuminate_run import run_once
 from .illuminate_station import MeasuringRoute, MeasuringRunConfig
@@ -141,6 +142,8 @@ class Planned:
                 where = ["", ""] if v.where is None else [f"{value:.2f}" for value in v.where]
                 numbers = [f"{p.length:.1f}", f"{p.largest_error:.3f}", f"{p.side_score:.3f}"]
                 table.writerow([i, r.least, int(p.chosen.sum()), *numbers, v.ok, f"{v.max_error:.3f}", *where, v.why])
+        save_figure(draw_rounds(self.problem, self.rounds), path("rounds.png"))
+        save_figure(draw_evolution(self.rounds), path("evolution.png"))
 
 
 def _length(way: MeasuringRoute) -> float:

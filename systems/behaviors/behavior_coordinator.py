@@ -116,7 +116,8 @@ class BehaviorCoordinator(LeafSystem):
     - `goal_error` (2): distance [m] and bearing [rad] of the goal. `free_ways` (5): [m], see `FuzzyObstacleAvoidance`.
     - `scan_S` (Scan), `X_BS` (RigidTransform): the last scan of the level laser and its pose in the base.
     - `stop` (1), optional: above 0.5 the command is zero.
-    - `twist_command` (2): v, ω; decided every `period`, zero until there is a scan.
+    - `twist_command` (2): v, ω; decided every `period`, zero until there is a scan, and while the laser sees nothing at
+      all: it may be blinded.
     - `weights` (2): of goal seeking and obstacle avoidance, after the last decision.
 
     Raises `ConfigError` for values out of range, `PortError` for inputs that are missing or of another type.
@@ -143,7 +144,7 @@ class BehaviorCoordinator(LeafSystem):
         config = self._config
         scan = eval_typed(self, context, "scan_S", Scan)
         stop = self.GetInputPort("stop").HasValue(context) and eval_typed(self, context, "stop", np.ndarray)[0] > 0.5
-        if scan.index < 0 or stop:
+        if scan.index < 0 or not len(scan.p_SP) or stop:
             discrete_state.set_value(1, np.zeros(2))
             return
         goal, avoidance, error, ways = (

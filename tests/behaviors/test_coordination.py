@@ -104,6 +104,7 @@ def test_the_coordinator_drives_when_it_sees_and_stands_when_it_does_not_or_must
     free = scan_of(np.array([[20.0, 0.0]]))
     assert coordinator(free)[0] > 0.7
     np.testing.assert_array_equal(coordinator(scan_of(np.zeros((0, 2)), index=-1)), [0, 0])
+    np.testing.assert_array_equal(coordinator(scan_of(np.zeros((0, 2)))), [0, 0])
     np.testing.assert_array_equal(coordinator(free, stop=1.0), [0, 0])
 
 

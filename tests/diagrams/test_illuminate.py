@@ -126,7 +126,8 @@ def test_the_robot_starts_where_the_plan_says(scenario):
 def test_the_command_plans_verifies_runs_and_leaves_its_products(tmp_path):
     plan = room_file(tmp_path)
     settings = [f"plan={plan}", "recording=null", "planning.rounds.shares=[0.2]", "planning.rounds.retries=0"]
-    settings += ["planning.rounds.evolution.generations=10", "hall.lamp_spacing=3.0"]
+    settings += ["planning.rounds.evolution.generations=10", "planning.problem.sites.near=1.5"]
+    settings += ["planning.problem.sites.spacing=0.8", "hall.lamp_spacing=3.0"]
     result = naraha("illuminate", "--out", tmp_path / "out", "--seed", 2, *(w for s in settings for w in ("--set", s)))
     assert result.returncode == 0, result.stderr
     metrics = metrics_of(tmp_path / "out")
@@ -146,7 +147,8 @@ def test_the_command_plans_verifies_runs_and_leaves_its_products(tmp_path):
     assert (lux[:, 1] >= 0).all()
     assert (tmp_path / "out" / "rounds.csv").read_text().count("\n") == 2
     assert (tmp_path / "out" / "landmarks.csv").read_text().count("\n") == metrics["landmarks"] + 1
-    for name in ("track.csv", "route.csv", "truth.txt", "trajectory.txt", "scenario.yaml"):
+    pictures = ("rounds.png", "evolution.png", "errors.png", "run.png", "illuminance_map.png")
+    for name in ("track.csv", "route.csv", "truth.txt", "trajectory.txt", "scenario.yaml", *pictures):
         assert (tmp_path / "out" / name).stat().st_size > 0
 
 
