@@ -12,16 +12,17 @@ from naraha.systems.snake import (
     middle_in_head,
 )
 from pydrake.common.value import Value
+from pydrake.math import RollPitchYaw
 
-from tests.snake.robot import Snake, SnakeModel, snake_body
+from tests.snake.robot import FLOOR, Snake, SnakeModel, snake_body
 
 MODEL = SnakeModel()
 
 
 class Recovering(Snake):
-    """A snake on flat ground whose driver obeys the recovery."""
+    """A snake on flat ground, or on and under other boxes, whose driver obeys the recovery."""
 
-    def __init__(self, angles=None, config=None, dead=None):
+    def __init__(self, angles=None, config=None, dead=None, boxes=(FLOOR,)):
         def extend(builder, plant, driver):
             body = snake_body(MODEL)
             self.recovery = builder.AddNamedSystem(
@@ -31,7 +32,7 @@ class Recovering(Snake):
             for name in ("joint_command", "wheel_speed_command"):
                 builder.Connect(self.recovery.GetOutputPort(name), driver.GetInputPort(name))
 
-        super().__init__(MODEL, angles=angles, extend=extend)
+        super().__init__(MODEL, boxes=boxes, angles=angles, extend=extend)
         self.recovery_context = self.recovery.GetMyContextFromRoot(self.context)
         self.order(RecoveryCommand())
         if dead is not None:
@@ -78,6 +79,22 @@ def test_the_middle_goes_to_the_target_while_the_head_stands_still(angles, offse
     assert min(status.joint_margin for status in statuses) > 0
     np.testing.assert_allclose(snake.value("control_error"), statuses[-1].control_error)
     assert snake.value("target_distance")[0] == pytest.approx(statuses[-1].distance)
+
+
+def test_a_target_inside_an_obstacle_stops_the_recovery_and_the_blocked_joint_is_named():
+    ceiling = ((-0.9, 0.0, 0.34), (0.7, 1.0, 0.4))  # from z = 0.14 m up, 4 cm over the wheels
+    snake = Recovering(boxes=(FLOOR, ceiling))
+    statuses, head = snake.recover(offset=(0.09, 0.0, 0.24))
+    assert statuses[-1].phase == "stopped"
+    assert "p5 does not follow: it is blocked" in statuses[-1].reason
+    assert statuses[-1].progress < 0.3
+    assert np.abs(snake.output("joint_torques")).max() <= MODEL.joint_torque + 1e-6
+    # Pressed between floor and ceiling the body gives way, but it stays on its wheels and holds from then on.
+    assert np.linalg.norm(head - head[0], axis=1).max() < 0.06
+    assert abs(RollPitchYaw(snake.X_W("F0").rotation()).roll_angle()) < 0.02
+    held = snake.value("joint_command").copy()
+    snake.run(0.5)
+    np.testing.assert_array_equal(snake.value("joint_command"), held)
 
 
 def test_before_a_command_joints_and_wheels_are_left_alone():
