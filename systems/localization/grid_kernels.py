@@ -10,14 +10,18 @@ import numpy as np
 from numba import njit
 
 _FREE, _HIT = 1, 2
-# Part of the variance along a line that may be across it; hits that make a post of a cell.
-_STRAIGHT, _POST_HITS = 0.05, 4.0
-# Half the window of a line's fit [cells]; deviation of a hit [cells] and largest of a normal [rad] that is used.
-_WINDOW, _HIT_DEVIATION, _NORMAL_DEVIATION = 3, 0.25, 0.06
+# Half the windows that lines are fitted in [cells], the smaller for corners and clutter; part of the variance along a
+# line that may be across it; least number of cells; largest deviation of the normal [rad], and deviation of a hit
+# [cells].
+_WINDOWS = np.array([3, 2, 1])
+_STRAIGHT = np.array([0.05, 0.1, 0.2])
+_LEAST_CELLS = np.array([4.0, 4.0, 3.0])
+_NORMAL_DEVIATION = np.array([0.06, 0.12, 0.2])
+_HIT_DEVIATION = 0.25
+# Hits that make a post of a cell, cells around that make it clutter, and how far nothing else may be around a post.
+_POST_HITS, _CLUTTER, _ALONE = 3.0, 6.0, 12
 # Cosine of the incidence below which a surface is grazed: how it stands there, no one knows.
 _GRAZED = 0.15
-# Around a post nothing else is for so many cells.
-_ALONE = 12
 # Half the length of a surface element [cells]: neighbours on a diagonal wall, whose means may lie anywhere, overlap.
 _HALF = 1.25
 
@@ -117,62 +121,76 @@ def _cross(seen: np.ndarray, x0: float, y0: float, x1: float, y1: float) -> None
 def surface_elements(log_odds: np.ndarray, hits: np.ndarray, i0: int, i1: int, j0: int, j1: int) -> np.ndarray:
     """Surface of the occupied cells that were hit: where and which way it faces, in cells, of rows i0 to i1, j0 to j1.
 
-    An element lies on the line through the mean hits of the window of 7 × 7 cells and faces the laser. A post, a few
-    cells alone that were hit often, faces it squarely. All else is left out: in a corner, and where far beams graze a
-    wall metres apart, nobody knows which way the surface faces.
+    An element lies on the line through the mean hits of the window of 7 × 7 cells around it, or of a smaller one where
+    these make no line, and faces the laser. A post, a few cells alone that were hit often, and clutter face it
+    squarely. All else is left out: where far beams graze a wall metres apart, nobody knows which way it faces.
 
     Returns:
         (n, 6): x, y of the mean hit, x, y of the unit normal, i, j of the cell.
     """
-    nx, ny = log_odds.shape
     result = np.empty((int((hits[i0:i1, j0:j1, 0] > 0.0).sum()), 6))
     k = 0
     for i in range(i0, i1):
         for j in range(j0, j1):
             if not (log_odds[i, j] > 0.0 and hits[i, j, 0] > 0.0):
                 continue
-            vx, vy = hits[i, j, 3], hits[i, j, 4]
-            n, beams, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for p in range(max(i - _WINDOW, 0), min(i + _WINDOW + 1, nx)):
-                for q in range(max(j - _WINDOW, 0), min(j + _WINDOW + 1, ny)):
-                    if log_odds[p, q] <= 0.0 or hits[p, q, 0] == 0.0:
-                        continue
-                    # The other face of a thin wall was seen from the other side.
-                    if hits[p, q, 3] * vx + hits[p, q, 4] * vy < 0.0:
-                        continue
-                    x, y = p - i + hits[p, q, 1] / hits[p, q, 0], q - j + hits[p, q, 2] / hits[p, q, 0]
-                    n += 1.0
-                    beams += hits[p, q, 0]
-                    sx += x
-                    sy += y
-                    sxx += x * x
-                    sxy += x * y
-                    syy += y * y
-            a, b, c = sxx / n - (sx / n) ** 2, sxy / n - sx * sy / n**2, syy / n - (sy / n) ** 2
-            spread = 0.5 * math.hypot(a - c, 2.0 * b)
-            least, most = 0.5 * (a + c) - spread, 0.5 * (a + c) + spread
             x, y = i + 0.5 + hits[i, j, 1] / hits[i, j, 0], j + 0.5 + hits[i, j, 2] / hits[i, j, 0]
-            sure = beams * most > (_HIT_DEVIATION / _NORMAL_DEVIATION) ** 2
-            if n >= 4.0 and sure and least < _STRAIGHT * most:
+            vx, vy = hits[i, j, 3], hits[i, j, 4]
+            far = max(math.hypot(vx, vy), 1e-9)
+            found, around = False, 0.0
+            for scale in range(len(_WINDOWS)):
+                n, beams, mx, my, a, b, c = _moments(log_odds, hits, i, j, _WINDOWS[scale])
+                around = n if scale == 0 else around
+                spread = 0.5 * math.hypot(a - c, 2.0 * b)
+                least, most = 0.5 * (a + c) - spread, 0.5 * (a + c) + spread
+                if n < _LEAST_CELLS[scale] or least > _STRAIGHT[scale] * most:
+                    continue
                 half = 0.5 * math.atan2(2.0 * b, a - c)
                 normal_x, normal_y = -math.sin(half), math.cos(half)
                 if normal_x * vx + normal_y * vy < 0.0:
                     normal_x, normal_y = -normal_x, -normal_y
-                if normal_x * vx + normal_y * vy < _GRAZED * math.hypot(vx, vy):
-                    continue
-                off = (i + 0.5 + sx / n - x) * normal_x + (j + 0.5 + sy / n - y) * normal_y
-                x += off * normal_x
-                y += off * normal_y
-            elif n <= 3.0 and hits[i, j, 0] >= _POST_HITS and _stands_alone(log_odds, i, j):
-                length = max(math.hypot(vx, vy), 1e-9)
-                normal_x, normal_y = vx / length, vy / length
-            else:
+                sure = beams * most > (_HIT_DEVIATION / _NORMAL_DEVIATION[scale]) ** 2
+                if sure and normal_x * vx + normal_y * vy > _GRAZED * far:
+                    off = (i + 0.5 + mx - x) * normal_x + (j + 0.5 + my - y) * normal_y
+                    result[k, 0], result[k, 1] = x + off * normal_x, y + off * normal_y
+                    result[k, 2], result[k, 3] = normal_x, normal_y
+                    result[k, 4], result[k, 5] = i, j
+                    k += 1
+                found = True
+                break
+            if found or hits[i, j, 0] < _POST_HITS:
                 continue
-            result[k, 0], result[k, 1] = x, y
-            result[k, 2], result[k, 3] = normal_x, normal_y
-            result[k, 4], result[k, 5] = i, j
-            k += 1
+            if around >= _CLUTTER or (around <= 3.0 and _stands_alone(log_odds, i, j)):
+                result[k, 0], result[k, 1] = x, y
+                result[k, 2], result[k, 3] = vx / far, vy / far
+                result[k, 4], result[k, 5] = i, j
+                k += 1
     return result[:k]
+
+
+@njit(cache=True)
+def _moments(
+    log_odds: np.ndarray, hits: np.ndarray, i: int, j: int, window: int
+) -> tuple[float, float, float, float, float, float, float]:
+    """Cells of a window with hits from this side, beams, mean hit from the cell's centre, its variances xx, xy, yy."""
+    n, beams, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for p in range(max(i - window, 0), min(i + window + 1, log_odds.shape[0])):
+        for q in range(max(j - window, 0), min(j + window + 1, log_odds.shape[1])):
+            if log_odds[p, q] <= 0.0 or hits[p, q, 0] == 0.0:
+                continue
+            # The other face of a thin wall was seen from the other side.
+            if hits[p, q, 3] * hits[i, j, 3] + hits[p, q, 4] * hits[i, j, 4] < 0.0:
+                continue
+            x, y = p - i + hits[p, q, 1] / hits[p, q, 0], q - j + hits[p, q, 2] / hits[p, q, 0]
+            n += 1.0
+            beams += hits[p, q, 0]
+            sx += x
+            sy += y
+            sxx += x * x
+            sxy += x * y
+            syy += y * y
+    mx, my = sx / n, sy / n
+    return n, beams, mx, my, sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
 
 
 @njit(cache=True)
@@ -180,7 +198,7 @@ def _stands_alone(log_odds: np.ndarray, i: int, j: int) -> bool:
     """Whether nothing else is occupied around the window of a cell: a wall goes on, even where beams graze it."""
     for p in range(max(i - _ALONE, 0), min(i + _ALONE + 1, log_odds.shape[0])):
         for q in range(max(j - _ALONE, 0), min(j + _ALONE + 1, log_odds.shape[1])):
-            if log_odds[p, q] > 0.0 and max(abs(p - i), abs(q - j)) > _WINDOW:
+            if log_odds[p, q] > 0.0 and max(abs(p - i), abs(q - j)) > _WINDOWS[0]:
                 return False
     return True
 

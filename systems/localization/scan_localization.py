@@ -19,6 +19,9 @@ _SURPRISE = 16.27
 # Covariances stay at or above these, so that they can be inverted [m², rad²].
 _LEAST = np.diag([1e-8, 1e-8, 1e-9])
 
+# That of a keyframe against the map that it has just become part of.
+_JOINED = np.diag([1e-4, 1e-4, 1e-5])
+
 
 @dataclass(kw_only=True)
 class LocalizerConfig:
@@ -52,6 +55,8 @@ class LocalizerConfig:
     # within, a bare wall tells nothing of where along it the robot is.
     normal_deviation_deg: float = quantity(5.0, unit="deg", low=0)
     mapped_normal_deviation_deg: float = quantity(8.0, unit="deg", low=0)
+    # [-] By how much fitter than odometry's a pose has to be, to be believed when odometry says it cannot be.
+    clearly_better: float = quantity(0.1, unit="-", low=0, high=1)
     # [m], [deg] After such a way or turn, scans err independently; before, they share the errors of the map.
     new_look: float = quantity(0.5, unit="m", above=0)
     new_look_deg: float = quantity(20.0, unit="deg", above=0)
@@ -75,10 +80,12 @@ class Localization:
 
     Attributes:
         pose: X_MB (3,) [m, m, rad] at `time` [s]; scans: how many were taken in.
-        covariance: of `pose` in the axes of M, (3, 3). health: fitness of the scan at the pose, in [0, 1].
+        covariance: of `pose` in the axes of M, (3, 3). relative: against the map around, which may itself be off; the
+            same when the map was given. health: fitness of the scan at the pose, in [0, 1].
         lost: the position may be off by more than is allowed, or the scan has not fitted for several scans.
         tracked: whether the last scan had enough beams on the map to say anything.
         surprise: of the last scan against prediction, chi-square of 3 degrees of freedom; above 16 odometry failed.
+        information: what the last scan alone says of the pose, inverse covariance in the axes of M, (3, 3).
         grid, likelihood: the map, and the distance to its surfaces. X_OB: odometry at `time`.
         look: way and turn since the last independent look, as a share of one.
         poor: successive scans without health. keyframes: poses of the scans in the map, (K, 3), and their covariances.
@@ -86,6 +93,7 @@ class Localization:
 
     pose: np.ndarray
     covariance: np.ndarray
+    relative: np.ndarray
     grid: OccupancyGrid
     likelihood: LikelihoodField
     time: float = 0.0
@@ -94,6 +102,7 @@ class Localization:
     lost: bool = False
     tracked: bool = False
     surprise: float = 0.0
+    information: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     X_OB: np.ndarray | None = None
     look: float = 1.0
     poor: int = 0
@@ -122,7 +131,7 @@ def start_localization(
     start = np.zeros(3) if pose is None else np.array(pose, np.float64).reshape(3)
     # The first scan of a map that is made from nothing says where M is.
     covariance = np.diag(deviation**2) if grid.occupied.any() else _LEAST
-    return Localization(start, covariance, grid, make_field(grid, config.reach))
+    return Localization(start, covariance, covariance, grid, make_field(grid, config.reach))
 
 
 def localize(
@@ -143,15 +152,16 @@ def localize(
     """
     step = np.zeros(3) if known.X_OB is None else between(known.X_OB, X_OB)
     pose, covariance = predict(known.pose, known.covariance, step, config.odometry)
-    covariance = covariance + _LEAST
+    _, relative = predict(known.pose, known.relative, step, config.odometry)
     moved = math.hypot(step[0], step[1]) / config.new_look + abs(step[2]) / math.radians(config.new_look_deg)
     ahead = replace(
-        known, pose=pose, covariance=covariance, time=scan.time, scans=known.scans + 1, X_OB=X_OB,
+        known, pose=pose, covariance=covariance + _LEAST, relative=relative + _LEAST, time=scan.time,
+        scans=known.scans + 1, X_OB=X_OB,
         look=min(known.look + moved, 1.0),
     )  # fmt: skip
     points = usable_points(scan, config, X_BS, step, scan.time - known.time if known.scans else 0.0)
     if len(points) < config.min_beams:
-        return _judged(replace(ahead, health=0.0, tracked=False, surprise=0.0), config)
+        return _judged(replace(ahead, health=0.0, tracked=False, surprise=0.0, information=np.zeros((3, 3))), config)
     if len(known.keyframes) == 0 and config.mapping and not known.grid.occupied.any():
         return _with_keyframe(replace(ahead, health=1.0, tracked=True), points, X_BS, config)
     match = _paper_match if config.method == "paper" else _match
@@ -191,7 +201,7 @@ def _match(ahead: Localization, points: np.ndarray, config: LocalizerConfig, see
     """Matches by evolution and refinement, and weighs the result against the prediction."""
     lf, prior = ahead.likelihood, ahead.pose
     cells = (lf.signed, lf.origin[0], lf.origin[1], lf.resolution, lf.reach / lf.resolution)
-    spread = _spread(ahead.covariance, config)
+    spread = _spread(ahead.relative, config)
     # A weak prior: it keeps what the scan does not tell, and leaves the rest to the scan.
     weak = np.diag(1 / (4 * spread) ** 2)
     patch = find_patches(points, config.patch_length)
@@ -199,36 +209,52 @@ def _match(ahead: Localization, points: np.ndarray, config: LocalizerConfig, see
     arguments = (config.beam_deviation, config.map_deviation, config.robust_deviation, 20)
     found, A, T, used = refine(*cells, points, patch, best, prior, weak, *arguments)
     if used < config.min_beams:
-        return replace(ahead, health=0.0, tracked=False, surprise=0.0)
-    health = likelihood_fitness(*cells, points, found, config.evolution.fit_deviation)
+        return replace(ahead, health=0.0, tracked=False, surprise=0.0, information=np.zeros((3, 3)))
+    raw = health = likelihood_fitness(*cells, points, found, config.evolution.fit_deviation)
     if config.mapping:
-        health = min(health * len(points) / used, 1.0)  # what is not in the map yet does not speak against the pose
+        health = min(raw * len(points) / used, 1.0)  # what is not in the map yet does not speak against the pose
     bent = config.mapped_normal_deviation_deg if config.mapping else config.normal_deviation_deg
     information = information_of(A, T, math.radians(bent))
     offset = difference(prior, found)
-    odd = surprise(ahead.covariance, information, offset)
-    covariance, look = ahead.covariance, ahead.look
+    odd = surprise(ahead.relative, information, offset)
+    covariance, relative, look = ahead.covariance, ahead.relative, ahead.look
     if odd > _SURPRISE:
-        # Odometry was worse than it said: what it says now counts for less, and the scan in full.
-        covariance, look = covariance * (odd / 3), 1.0
-    change, fused = fuse(covariance, look * information, offset)
+        at_prior = likelihood_fitness(*cells, points, prior, config.evolution.fit_deviation)
+        if raw > at_prior + config.clearly_better:
+            # Odometry was worse than it said: what it says now counts for less, and the scan in full.
+            covariance, relative, look = covariance * (odd / 3), relative * (odd / 3), 1.0
+        else:
+            # Both poses fit: the map is poor here, and says more than it knows.
+            information = information * (3 / odd)
+    change, relative = fuse(relative, look * information, offset)
     if config.mapping:
         measured = np.linalg.inv(information + 1e-9 * np.eye(3)) + _map_covariance(ahead, points)
-        fused = the_lower(covariance, measured)
+        covariance = the_lower(covariance, measured)
+    else:
+        covariance = relative
     pose = prior + change
     pose[2] = math.atan2(math.sin(pose[2]), math.cos(pose[2]))
     return replace(
-        ahead, pose=pose, covariance=fused, health=health, tracked=True, surprise=odd, look=0.0,
+        ahead, pose=pose, covariance=covariance, relative=relative, health=health, tracked=True, surprise=odd, look=0.0,
+        information=information,
     )  # fmt: skip
 
 
 def _paper_match(ahead: Localization, points: np.ndarray, config: LocalizerConfig, seed: int) -> Localization:
     """The pose of the evolution strategy as it is; as covariance the spread of its last population."""
-    spread = _spread(ahead.covariance, config)
+    spread = _spread(ahead.relative, config)
     pose, health, covariance = evolve_as_paper(
         ahead.grid, points, ahead.pose, spread, config.evolution, seed=seed, index=ahead.scans
     )
-    return replace(ahead, pose=pose, covariance=covariance + _LEAST, health=health, tracked=True, surprise=0.0)
+    return replace(
+        ahead,
+        pose=pose,
+        covariance=covariance + _LEAST,
+        relative=covariance + _LEAST,
+        health=health,
+        tracked=True,
+        surprise=0.0,
+    )
 
 
 def _spread(covariance: np.ndarray, config: LocalizerConfig) -> np.ndarray:
@@ -281,6 +307,7 @@ def _with_keyframe(
     low, high = np.minimum(p_MP.min(axis=0), X_MS[:2]), np.maximum(p_MP.max(axis=0), X_MS[:2])
     return replace(
         known,
+        relative=_JOINED,
         grid=grid,
         likelihood=make_field(grid, config.reach, before=known.likelihood, changed=(low, high)),
         keyframes=np.concatenate([known.keyframes, known.pose[None]]),
