@@ -9,7 +9,8 @@ the manipulability term. Each of theirs includes bringing the joint angles into 
 
 Scene `simulation`: the snake drives straight on flat ground at 5 ms with its driver; simulated seconds per second of
 processor time with 10, 20 and 40 units, beside the same snake standing without its driver, and driving without it with
-wheels that are driven surfaces of the links in place of two joints a unit.
+wheels that are driven surfaces of the links in place of two joints a unit. Then ten units with all that a mission has:
+sensors, cameras, detector and controllers.
 
 Scene `recovery`: see `snake_cases`. Without `--scene` the first two run.
 """
@@ -22,12 +23,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from naraha.diagrams.recover import RecoverScenario, make_recover
 from naraha.models.snake.snake_model import SnakeModel
 from naraha.models.snake.urdf import snake_urdf
 from naraha.systems.drive.snake_driver import ApplyDriverConfig, SnakeDriver
 from naraha.systems.snake import ChainKinematics, NullSpaceConfig
 from naraha.systems.snake import null_space_kernels as kernel
 from naraha.systems.snake.null_space_kernels import recovery_tick
+from naraha.systems.snake.snake_pilot import Move
 from pydrake.common.value import Value
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
@@ -244,6 +247,19 @@ def realtime_factor(
     return factor, plant.EvalBodyPoseInWorld(plant_context, head).translation()[0] - x
 
 
+def realtime_factor_of_mission(seconds: float = 3.0) -> float:
+    """The same of the whole robot that drives on: all sensors, detector, controllers, and both cameras' images read."""
+    _, run = make_recover(RecoverScenario(stuck=1, really=False, recording=None))
+    run.give(Move(kind="shift", speed=0.1))
+    run.advance(0.5)
+    start = time.process_time()
+    for _ in range(round(seconds / 0.5)):
+        run.advance(0.5)
+        for end in ("head", "tail"):
+            run.read(f"station.{end}_image")
+    return seconds / (time.process_time() - start)
+
+
 def simulation_scene(repeats: int = 3) -> dict[str, object]:
     result: dict[str, object] = {}
     rows = []
@@ -261,6 +277,9 @@ def simulation_scene(repeats: int = 3) -> dict[str, object]:
             row.append(factor)
         rows.append(row)
     print_table("real-time factor", ["", "driving", "standing, no driver", "driven surfaces"], rows)
+    everything = float(np.median([realtime_factor_of_mission() for _ in range(repeats)]))
+    print(f"10 units with all sensors, controllers and camera images: {everything:.2f}")
+    result["naraha_realtime_factor_10_all_sensors"] = everything
     factors = [float(result[f"naraha_realtime_factor_{units}"]) for units in (10, 40)]  # type: ignore[arg-type]
     # Cost of a simulated second over the number of units, as a power.
     return result | {"naraha_growth_exponent": float(np.log(factors[0] / factors[1]) / np.log(4.0))}
