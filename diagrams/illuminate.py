@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.figure import Figure
-from naraha.models.worlds.halls import hang_lamps, plan_path, shipped_plans
+from naraha.models.plans import load_floor_plan
+from naraha.models.worlds.halls import hang_lamps
 from naraha.systems.config import quantity
 from naraha.systems.errors import ScenarioError
-from naraha.systems.placement import FloorPlan, read_floor_plan
+from naraha.systems.placement import FloorPlan
 from naraha.systems.sensing import fit_field, write_tum
 from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -72,12 +73,8 @@ def load_illuminate(name: str, settings: Sequence[str] = (), seed: int | None = 
 
 
 def read_plan(scenario: IlluminateScenario) -> FloorPlan:
-    """The floor plan that the scenario names. Raises `ScenarioError`, `PlanError`."""
-    path = plan_path(scenario.plan)
-    if not path.is_file():
-        valid = [*shipped_plans(), "a YAML file"]
-        raise ScenarioError("no such plan", key="plan", value=scenario.plan, valid=valid)
-    return read_floor_plan(path)
+    """The floor plan that the scenario names. Raises `PlanError`, `ConfigError`."""
+    return load_floor_plan(scenario.plan)
 
 
 def illuminate(scenario: IlluminateScenario, options: Options) -> int:

@@ -109,7 +109,8 @@ def make_illuminate(
     if config.hall.lamps is not None and not config.hall.lamps:
         raise ConfigError("no lamp", key="hall.lamps", value=[], valid="at least one, or null for lamps in rows")
     builder = DiagramBuilder()
-    world = build_hall(plan, way.sites, config.hall)
+    world_seed = seed if config.world.seed is None else config.world.seed
+    world = build_hall(plan, way.sites, config.hall, world_seed)
     height = config.robot.known_model().base_height
     x, y, heading = (float(value) for value in plan.start)
     robot = replace(config.robot, start_xyz=[x, y, height], start_yaw_deg=float(np.rad2deg(heading)))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from naraha.systems.errors import WorldError
 
+from ..plans import shipped_plans
 from . import corridor, e2827, halls, real_like, rough, rough_field, stair_hall, stuck
 from .world import Solid, World, load_world_file
 
@@ -19,7 +20,7 @@ BUILDERS: dict[str, Callable[[int], World]] = {
     "stair_hall": stair_hall.build,
     "stair_hall_later": stair_hall.build_later,
     **{f"stuck_{kind}": stuck.build(kind) for kind in stuck.KINDS},
-    **{name: partial(halls.build, name) for name in halls.shipped_plans()},
+    **{name: partial(halls.build, name) for name in shipped_plans()},
 }
 
 

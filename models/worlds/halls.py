@@ -1,19 +1,17 @@
 """Halls from floor plans: walls extruded, boxes as added landmarks, lamps under the ceiling and windows (S4)."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from naraha.systems.config import check_config, quantity
-from naraha.systems.placement import FloorPlan, read_floor_plan
+from naraha.systems.placement import FloorPlan
 from naraha.systems.sensing import Lamp, Surface, Window
 
-from .. import MODELS_DIR
+from ..plans import load_floor_plan
 from . import surfaces
 from .world import Solid, World
 
-PLANS_DIR = MODELS_DIR / "plans"
 WALL_HEIGHT = 2.6
 """[m]; drawn low, so that one sees into the hall. Lamps may hang higher."""
 
@@ -35,32 +33,33 @@ class HallConfig:
     lamp_height: float = quantity(5.0, unit="m", above=0)
     # [cd] straight down; a lamp of 20 000 lm that shines as a disc has 6 400.
     lamp_intensity: float = quantity(6400.0, unit="cd", low=0)
+    # Standard deviation of the intensity between lamps, relative: they are not of one age. Assumed.
+    lamp_spread: float = quantity(0.1, unit="-", low=0, high=0.3)
 
 
-def shipped_plans() -> list[str]:
-    """Names of the floor plans that come with the package."""
-    return sorted(path.stem for path in PLANS_DIR.glob("*.yaml"))
-
-
-def plan_path(name: str) -> Path:
-    """The file of a shipped plan, or `name` itself as a path."""
-    return PLANS_DIR / f"{name}.yaml" if name in shipped_plans() else Path(name)
-
-
-def hang_lamps(plan: FloorPlan, config: HallConfig) -> list[Lamp]:
-    """Lamps in rows over all of the floor that is free, spaced alike, half a spacing from the edges."""
+def hang_lamps(plan: FloorPlan, config: HallConfig, seed: int = 0) -> list[Lamp]:
+    """Lamps in rows over all of the floor that is free, spaced alike, half a spacing from the edges; `seed` is that of
+    their intensities."""
     counts = np.maximum(np.round(plan.size / config.lamp_spacing), 1).astype(int)
     xs, ys = (plan.origin[i] + plan.size[i] * (np.arange(n) + 0.5) / n for i, n in enumerate(counts))
     places = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
     free = places[~plan.is_occupied(places)]
-    return [Lamp(xyz=[float(x), float(y), config.lamp_height], intensity=config.lamp_intensity) for x, y in free]
+    spread = np.clip(np.random.default_rng(seed).standard_normal(len(free)), -3, 3)
+    intensities = config.lamp_intensity * (1 + config.lamp_spread * spread)
+    return [
+        Lamp(xyz=[float(x), float(y), config.lamp_height], intensity=float(intensity))
+        for (x, y), intensity in zip(free, intensities, strict=True)
+    ]
 
 
-def build_hall(plan: FloorPlan, sites: np.ndarray | None = None, config: HallConfig | None = None) -> World:
+def build_hall(
+    plan: FloorPlan, sites: np.ndarray | None = None, config: HallConfig | None = None, seed: int = 0
+) -> World:
     """The world of a plan. Frame W is that of the plan, the floor is at z = 0.
 
     Args:
         sites: (k, 2) middles of the boxes that are added as landmarks [m]; put where `FloorPlan.with_boxes` draws them.
+        seed: of lamps that are hung in rows.
 
     Raises:
         ConfigError: a value of `config` is out of range.
@@ -82,7 +81,7 @@ def build_hall(plan: FloorPlan, sites: np.ndarray | None = None, config: HallCon
     return World(
         solids=solids,
         surfaces={"floor": surfaces.CONCRETE_FLOOR, "wall": surfaces.CONCRETE_WALL, "cardboard": _CARDBOARD},
-        lamps=hang_lamps(plan, config) if config.lamps is None else config.lamps,
+        lamps=hang_lamps(plan, config, seed) if config.lamps is None else config.lamps,
         windows=config.windows,
     )
 
@@ -96,5 +95,5 @@ def snapped(plan: FloorPlan, sites: np.ndarray | None, side: float) -> np.ndarra
 
 
 def build(name: str, seed: int = 0) -> World:
-    """The hall of a shipped plan, without added landmarks; nothing in it depends on `seed`."""
-    return build_hall(read_floor_plan(plan_path(name)))
+    """The hall of a shipped plan, without added landmarks."""
+    return build_hall(load_floor_plan(name), seed=seed)

@@ -155,7 +155,7 @@ def test_the_command_plans_verifies_runs_and_leaves_its_products(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "settings", "words"),
     [
-        ({}, ["plan=nowhere.yaml"], "plan: no such plan, got 'nowhere.yaml'"),
+        ({}, ["plan=nowhere.yaml"], "nowhere.yaml: no such floor plan"),
         ({"image": "plan.png", "resolution": None}, [], "resolution: a plan without scale"),
         ({"measuring_points": [[6.0, 6.0]]}, [], "measuring_points[0]: inside a wall"),
         ({"measuring_points": [[5.0, 6.5]]}, [], "measuring_points[0]: no way leads there"),

@@ -1,16 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from naraha.models.plans import load_floor_plan, shipped_plans
 from naraha.models.worlds import BUILDERS, load_world
-from naraha.models.worlds.halls import (
-    HallConfig,
-    build_hall,
-    hang_lamps,
-    plan_path,
-    shipped_plans,
-    snapped,
-)
+from naraha.models.worlds.halls import HallConfig, build_hall, hang_lamps, snapped
 from naraha.systems.errors import ConfigError
-from naraha.systems.placement import plan_from_walls, read_floor_plan
+from naraha.systems.placement import plan_from_walls
 
 PLAN = plan_from_walls(
     np.array([[[0.1, 0.1], [7.9, 0.1]], [[7.9, 0.1], [7.9, 5.9]], [[7.9, 5.9], [0.1, 5.9]], [[0.1, 5.9], [0.1, 0.1]]]),
@@ -60,14 +56,18 @@ def test_lamps_hang_in_rows_over_free_floor():
     assert not PLAN.is_occupied(places[:, :2]).any()
     np.testing.assert_array_equal(np.unique(places[:, 0]), [1, 3, 5, 7])
     assert (places[:, 2] == 4.0).all()
-    assert {lamp.intensity for lamp in lamps} == {500.0}
+    intensities = np.array([lamp.intensity for lamp in hang_lamps(PLAN, replace(config, lamp_spacing=0.2), seed=4)])
+    assert intensities.mean() == pytest.approx(500.0, rel=0.02)
+    assert intensities.std() == pytest.approx(50.0, rel=0.1)
+    even = hang_lamps(PLAN, replace(config, lamp_spread=0.0))
+    assert {lamp.intensity for lamp in even} == {500.0}
     assert build_hall(PLAN, config=HallConfig(lamps=lamps[:2])).lamps == lamps[:2]
 
 
 @pytest.mark.parametrize("name", shipped_plans())
 def test_every_shipped_plan_is_a_world_with_light(name):
     assert name in BUILDERS
-    world, plan = load_world(name, 0), read_floor_plan(plan_path(name))
+    world, plan = load_world(name, 0), load_floor_plan(name)
     assert world.lamps
     assert not any(solid.name.startswith("landmark") for solid in world.solids)
     # A ray from the start meets a wall of the plan.
