@@ -2,6 +2,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from naraha.diagrams.learn import learn_routes, load_learn
+from naraha.diagrams.mission import Options
 from naraha.diagrams.robot_files import robot_primitives
 from naraha.systems.errors import ConfigError, ScenarioError
 from naraha.systems.routes import (
@@ -11,10 +13,15 @@ from naraha.systems.routes import (
     Primitives,
     motion_model,
     outcome_of,
+    read_policy,
     read_primitives,
     write_primitives,
 )
+from naraha.systems.sensing import write_cloud
 
+from tests.diagrams.test_missions import metrics_of
+
+from .route_examples import floor_with_pool
 from .test_motion_model import mean_motion
 
 
@@ -129,3 +136,16 @@ def test_the_crawler_s_motions_are_there_for_every_kind_that_was_driven():
     assert slides > 0.1
     with pytest.raises(ScenarioError, match=r"no motions were measured.*crawler"):
         robot_primitives("pioneer")
+
+
+def test_routes_are_learnt_with_the_spread_that_was_measured(tmp_path):
+    write_cloud(tmp_path / "map.ply", floor_with_pool())
+    values = []
+    for motions in ("exact", "measured"):
+        scenario = load_learn("learn", [-2.5, 0, 0], [2.5, 0], [f"motions={motions}"])
+        assert learn_routes(tmp_path / "map.ply", scenario, Options(out=tmp_path / motions)) == 0
+        assert metrics_of(tmp_path / motions)["optimality_gap"] <= 0.05
+        policy = read_policy(tmp_path / motions / "policy_0.csv")
+        values.append(policy.q[policy.free].max(axis=-1).mean())
+    # Where motions may lead astray, ways are worth less.
+    assert values[1] < values[0]
