@@ -115,6 +115,27 @@ def ortools_order(lengths: np.ndarray, seconds: int) -> list[int]:
     return order[1:]
 
 
+def greedy_visibility_cover(problem: PlacementProblem, order: np.ndarray) -> np.ndarray:
+    """Sites (k,) bool for a route by the usual set cover: every pose that the walls leave unknown must be fixed by what
+    its own scan sees of one box; the box that does so at most of those left is put up next, while there is any."""
+    of, n = problem.config.information, len(problem.points)
+    legs = np.concatenate([[0], order[:-1]]) * n + order
+    at = np.concatenate([np.arange(problem.first[leg], problem.first[leg + 1]) for leg in legs])
+
+    def fixed(info: np.ndarray) -> np.ndarray:
+        matrices = info[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*info.shape[:-1], 3, 3)
+        spread = np.linalg.eigvalsh(np.linalg.inv(matrices + 1e-6 * np.eye(3))[..., :2, :2])[..., -1]
+        return of.sigmas * np.sqrt(spread) <= problem.limit[at].reshape(-1, *[1] * (info.ndim - 2))
+
+    covers = fixed(problem.base[at][:, None] + problem.added[at]) & ~fixed(problem.base[at])[:, None]
+    left, chosen = covers.any(axis=1), np.zeros(len(problem.sites), bool)
+    while left.any():
+        best = int(np.argmax(covers[left].sum(axis=0)))
+        chosen[best] = True
+        left &= ~covers[:, best]
+    return chosen
+
+
 def greedy_cover(problem: PlacementProblem, order: np.ndarray) -> np.ndarray:
     """Sites (k,) bool for a route by the greedy set cover: the one that takes away most of the excess, until there is
     none. All when that is not enough."""
