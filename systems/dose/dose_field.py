@@ -122,11 +122,11 @@ class DoseField:
 
     def rate(self, p_MP: np.ndarray) -> np.ndarray:
         """Dose rate at points (N, 3) [m], background included, (N,) [uSv/h]."""
-        return self._rate_and_sigma(p_MP)[0]
+        return self.rate_and_sigma(p_MP)[0]
 
     def sigma(self, p_MP: np.ndarray) -> np.ndarray:
         """Standard deviation of `rate`, (N,) [uSv/h]: of the fit to first order, and of other places of the sources."""
-        return self._rate_and_sigma(p_MP)[1]
+        return self.rate_and_sigma(p_MP)[1]
 
     def measured_near(self, p_MP: np.ndarray) -> np.ndarray:
         """Whether points (N, 3) are near a reading, (N,) bool."""
@@ -137,7 +137,8 @@ class DoseField:
         distance = cKDTree(self._measured).query(np.where(finite[:, None], p_MP, 0.0))[0]
         return (distance <= self._measured_distance) & finite
 
-    def _rate_and_sigma(self, p_MP: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rate_and_sigma(self, p_MP: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both at once, in half the time."""
         p_MP = np.asarray(p_MP, float).reshape(-1, 3)
         rate, variance = np.zeros(len(p_MP)), np.zeros(len(p_MP))
         for first in range(0, len(p_MP), _POINTS_AT_ONCE):

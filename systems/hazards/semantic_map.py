@@ -146,11 +146,12 @@ class SemanticMap(LeafSystem):
         for source in dose.sources:
             near_source |= np.linalg.norm(points - source.p_M, axis=1) < config.source_radius
         cloud = map_M.select_by_mask(o3d.core.Tensor(kept)) if len(kept) else map_M.clone()
+        rate, sigma = dose.rate_and_sigma(points)
         attributes = {
             "label": label_points(water, heat, near_source, config.min_probability),
             "water_probability": water.astype(np.float32),
-            "dose_rate": dose.rate(points).astype(np.float32),
-            "dose_rate_sigma": dose.sigma(points).astype(np.float32),
+            "dose_rate": rate.astype(np.float32),
+            "dose_rate_sigma": sigma.astype(np.float32),
         }
         for name, values in attributes.items():
             cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values[:, None]))
