@@ -31,8 +31,8 @@ class FrontierConfig:
     # [deg] Field of view of a look: that of the depth camera (D415), which the sweep of the other cameras covers.
     fov_deg: float = quantity(69.0, unit="deg", above=0, high=360)
     # [bit m²], [bit m²/s] What a look must tell to be worth it, in all and for its time. Unseen ground tells 1 bit/m².
-    min_gain: float = quantity(2.0, unit="bit m²", above=0)
-    min_value: float = quantity(0.06, unit="bit m²/s", low=0)
+    min_gain: float = quantity(1.0, unit="bit m²", above=0)
+    min_value: float = quantity(0.03, unit="bit m²/s", low=0)
     # [bit] Ground with less interest is as good as known.
     min_interest: float = quantity(0.3, unit="bit", low=0)
     # [m] What stands between these heights over the ground hides what is behind; lower things throw short shadows.

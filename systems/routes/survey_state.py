@@ -61,7 +61,7 @@ class LoopState:
 
     Attributes:
         phase: of `PHASES`. since: when it began [s].
-        home: x, y of the start [m]; None before the first map.
+        home: x, y of the start [m]; None before the first map. way_home: the free place beside it that is driven to.
         view: the look that is the goal; None without. gain: what it promised [bit m²]. homeward: whether home is.
         judged: the `interest` by which the goal was last judged.
         start: (3,) pose at which routes to the goal begin, NaN without goal [m, m, rad].
@@ -79,6 +79,7 @@ class LoopState:
     phase: str = "wait"
     since: float = 0.0
     home: tuple[float, float] | None = None
+    way_home: tuple[float, float] = (np.nan, np.nan)
     view: View | None = None
     gain: float = 0.0
     judged: np.ndarray | None = None
@@ -111,8 +112,8 @@ class LoopState:
     @property
     def goal(self) -> tuple[float, float]:
         """x, y [m], NaN without."""
-        if self.homeward and self.home is not None:
-            return self.home
+        if self.homeward:
+            return self.way_home
         return (np.nan, np.nan) if self.view is None else (self.view.x, self.view.y)
 
 

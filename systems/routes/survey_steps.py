@@ -102,10 +102,22 @@ def _chosen(
             return replace(state, phase="done", since=now, returned=True, reason=reason, view=None)
         if state.homeward and state.failures > config.most_failures:
             return replace(state, phase="done", since=now, reason=f"{reason}; no way home", view=None)
+        if state.homeward and state.failures and now - state.since < config.off_time:  # the next map may know better
+            return state
+        home = None if state.home is None else _snapped(np.array([*state.home, 0.0]), here.grid, config.snap)
+        way_home = (np.nan, np.nan) if home is None else (float(home[0]), float(home[1]))
         place = (float(start[0]), float(start[1]), float(start[2]))
         failures = state.failures if state.homeward else 0
         return replace(
-            state, phase="learn", since=now, homeward=True, view=None, start=place, reason=reason, failures=failures
+            state,
+            phase="learn",
+            since=now,
+            homeward=True,
+            way_home=way_home,
+            view=None,
+            start=place,
+            reason=reason,
+            failures=failures,
         )
     view = goals[0].view
     state = replace(state, since=now, view=view, gain=goals[0].gain, judged=here.interest)
