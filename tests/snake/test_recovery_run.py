@@ -215,3 +215,27 @@ def test_joints_without_angles_at_the_start_are_refused():
     angles[4] = np.nan
     status = start_run(idle_run(BODY), RecoveryCommand(1, True, 3, 7), angles, BODY, NullSpaceConfig()).status
     assert (status.phase, "p2" in status.reason) == ("refused", True)
+
+
+def test_the_manipulability_term_leads_out_of_a_straight_pose_that_the_target_leaves_straight():
+    angles = 0.005 * np.random.default_rng([0, 1]).standard_normal(19)
+    command = towards(angles, offset=(L, 0.0, 0.0))
+    errors = {
+        weight: largest_error(recover(angles, command, NullSpaceConfig(singular_weight=weight)))
+        for weight in (NullSpaceConfig().singular_weight, 0.0)
+    }
+    with_term, without = errors.values()
+    assert with_term < 2e-3
+    assert without > 1.5 * with_term
+
+
+def test_the_joint_term_keeps_joints_in_their_range_where_nothing_else_does():
+    angles = np.zeros(19)
+    angles[9] = BODY.joint_limits[9] - np.deg2rad(4)
+    command = towards(angles, offset=(L, 0.12, 0.2))
+    margins = [
+        min(run.status.joint_margin for run in recover(angles, command, NullSpaceConfig(**changes))[1:])
+        for changes in ({"bounded": False}, {"bounded": False, "joint_weight": 0.0})
+    ]
+    assert margins[0] > np.deg2rad(3)
+    assert margins[1] < 0
