@@ -10,8 +10,9 @@ from .candidate_sites import SiteConfig, find_sites, initial_route, near_cells
 from .floor_plan import FloorPlan
 from .follow_kernels import Sides, Tables, Word, follow
 from .information import InformationConfig, scans_along
-from .landmarks import LandmarkConfig, LandmarkMap, find_landmarks, sees_landmarks
+from .landmarks import LandmarkConfig, LandmarkMap, find_landmarks
 from .ray_kernels import straighten
+from .side_sight import SideSight, look_to_the_sides
 from .topology import Topology, TopologyConfig, drivable_cells, grow_topology
 
 
@@ -48,10 +49,7 @@ class PlacementProblem:
         poses: (p, 4) x, y, heading, and the length driven since the pose before [m, m, rad, m].
         base, added: information of the scans (p, 6), and what a box at each site adds (p, k, 6).
         limit: (p,) error that is allowed [m].
-        first_node: where each leg's nodes begin in the next four.
-        left, right: (m,) bool: whether the plan's landmarks are seen on that side.
-        left_sites, right_sites: (m,) int64 words: which sites are.
-        nodes_at: (m, 2) where the nodes are [m]. penalty: (m,) see `Sides`.
+        sight: what is seen to the sides of the nodes, as the paper counts it.
         config: what it was made with.
     """
 
@@ -66,13 +64,7 @@ class PlacementProblem:
     base: np.ndarray
     added: np.ndarray
     limit: np.ndarray
-    first_node: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    left_sites: np.ndarray
-    right_sites: np.ndarray
-    nodes_at: np.ndarray
-    penalty: np.ndarray
+    sight: SideSight
     config: ProblemConfig
 
     def __deepcopy__(self, memo: dict) -> "PlacementProblem":
@@ -91,7 +83,7 @@ class PlacementProblem:
 
     def sides(self) -> Sides:
         """What the paper's Eval takes."""
-        return Sides(self.first_node, self.left, self.right, self.left_sites, self.right_sites, self.penalty)
+        return self.sight.sides()
 
     def errors_along(self, order: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses (m, 3) along a route [m, m, rad], and the largest error to expect at each [m].
@@ -151,7 +143,7 @@ def problem_with(
     poses = np.concatenate(legs)
     base, added = scans_along(plan, poses[:, :3], sites, config.sites.side, config.information)
     lengths = np.array([leg[:, 3].sum() for leg in legs]).reshape(n, n)
-    seen = _sides(plan, clear, nodes, landmarks, sites, config)
+    sight = look_to_the_sides(plan, clear, nodes, landmarks, sites, config.sites.side, config.sight_range)
     return PlacementProblem(
         plan,
         clear,
@@ -164,9 +156,7 @@ def problem_with(
         base,
         added,
         np.full(len(poses), config.error_limit),
-        _starts([path[1:] for path in nodes]),
-        *seen,
-        np.zeros(len(seen[0])),
+        sight,
         config,
     )
 
@@ -199,28 +189,3 @@ def _poses(way: np.ndarray, step: float) -> np.ndarray:
         heading = np.arctan2(*(b - a)[::-1])
         parts.append(np.column_stack([at, np.full(count, heading), np.full(count, length / count)]))
     return np.concatenate(parts)
-
-
-def _sides(
-    plan: FloorPlan,
-    topology: Topology,
-    nodes: list[np.ndarray],
-    landmarks: LandmarkMap,
-    sites: np.ndarray,
-    config: ProblemConfig,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """On which side of each leg's nodes, but its first, landmarks and which sites are seen, and where those are."""
-    places = topology.nodes
-    all_ = np.vstack([landmarks.positions, sites])
-    extent = np.concatenate([landmarks.extent, np.full(len(sites), config.sites.side)])
-    seen = sees_landmarks(plan, places, all_, extent, config.sight_range)
-    legs = [path for path in nodes if len(path)]
-    at = np.concatenate([path[1:] for path in legs])
-    ahead = places[at] - places[np.concatenate([path[:-1] for path in legs])]
-    away = all_[None] - places[at][:, None]
-    cross = ahead[:, None, 0] * away[..., 1] - ahead[:, None, 1] * away[..., 0]
-    left, right = seen[at] & (cross >= 0), seen[at] & (cross < 0)
-    own = len(landmarks.positions)
-    bits = np.left_shift(np.int64(1), np.arange(len(sites), dtype=np.int64))
-    words = [(side[:, own:] * bits).sum(axis=1).astype(np.int64) for side in (left, right)]
-    return left[:, :own].any(axis=1), right[:, :own].any(axis=1), words[0], words[1], places[at]

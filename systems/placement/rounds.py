@@ -49,8 +49,10 @@ class RoundsConfig:
     # [-] Least and most of the error that was expected there that is then allowed: between them, what was allowed over
     # what was measured.
     tighten: list[float] = quantity([0.5, 0.8], low=0.01, high=0.99, min_length=2)
-    # [-] Preset "paper": what a node there costs more for each side on which no landmark is seen.
-    penalty: float = quantity(5.0, low=0)
+    # [-] Preset "paper": from nodes there landmarks count no farther than this share of before, and a side without one
+    # costs so much more.
+    shrink: float = quantity(0.5, above=0, high=1)
+    penalty: float = quantity(2.0, low=0)
     evolution: EvolutionConfig = field(default_factory=EvolutionConfig)
 
 
@@ -152,12 +154,13 @@ def learn_from(
     problem: PlacementProblem, placement: Placement, seen: Verification, config: RoundsConfig
 ) -> PlacementProblem:
     """The problem after a failure: within `radius` of it less error is allowed than was expected of the placement
-    there, everywhere when it is not known where it was. So that placement is within the limit no more."""
+    there, everywhere when it is not known where it was. So that placement is within the limit no more. As the paper
+    counts, landmarks must be nearer there."""
     poses, errors = problem.errors_along(placement.order, placement.chosen)
     allowed = problem.config.error_limit
     least, most = config.tighten
     share = min(max(allowed / max(seen.max_error, 1e-9), least), most)
-    near_pose, near_node = np.ones(len(problem.poses), bool), np.ones(len(problem.nodes_at), bool)
+    near_pose, near_node = np.ones(len(problem.poses), bool), np.ones(len(problem.sight.places), bool)
     expected = errors.max()
     if seen.where is not None:
         gap = np.hypot(*(poses[:, :2] - seen.where).T)
@@ -165,6 +168,6 @@ def learn_from(
         radius = max(config.radius, float(gap.min()) + 1e-9)
         expected = errors[gap <= radius].max()
         near_pose = np.hypot(*(problem.poses[:, :2] - seen.where).T) <= radius
-        near_node = np.hypot(*(problem.nodes_at - seen.where).T) <= radius
+        near_node = np.hypot(*(problem.sight.places - seen.where).T) <= radius
     limit = np.where(near_pose, np.minimum(problem.limit, share * expected), problem.limit)
-    return replace(problem, limit=limit, penalty=problem.penalty + config.penalty * near_node)
+    return replace(problem, limit=limit, sight=problem.sight.harder(near_node, config.shrink, config.penalty))

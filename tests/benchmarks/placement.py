@@ -16,6 +16,7 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from naraha.models.plans import load_floor_plan
@@ -78,9 +79,12 @@ def evolution() -> dict[str, object]:
     began = time.perf_counter()
     cost_table(routes, words, problem.tables(), weights)
     table_rate = 3600 / (time.perf_counter() - began)
-    values: dict[str, object] = {"deap_error_evaluations_per_s": deap_rate(problem, error_in_numpy, seconds=10)}
+    by_sides = partial(eval_in_numpy, problem.sides(), len(problem.points))
+    values: dict[str, object] = {
+        "deap_error_evaluations_per_s": deap_rate(problem, partial(error_in_numpy, problem), seconds=10)
+    }
     values["naraha_error_evaluations_per_s"] = table_rate
-    values["deap_paper_evaluations_per_s"] = deap_rate(problem, eval_in_numpy, seconds=5)
+    values["deap_paper_evaluations_per_s"] = deap_rate(problem, by_sides, seconds=5)
     for preset, name in (("paper", "naraha_paper_evaluations_per_s"), ("ours", "naraha_ours_evaluations_per_s")):
         config = EvolutionConfig(preset=preset, patience=200)
         evolve(problem, config)

@@ -6,18 +6,18 @@ import time
 
 import numpy as np
 from naraha.systems.placement import PlacementProblem
-from naraha.systems.placement.follow_kernels import follow
+from naraha.systems.placement.follow_kernels import Sides, follow
 from naraha.systems.placement.problem import word_of
 
 
-def eval_in_numpy(problem: PlacementProblem, order: np.ndarray, chosen: np.ndarray) -> float:
-    """The paper's mean Eval, a line of numpy a leg."""
-    n, word = len(problem.points), word_of(chosen)
+def eval_in_numpy(sides: Sides, n: int, order: np.ndarray, chosen: np.ndarray) -> float:
+    """The paper's mean Eval, a line of numpy a leg. n: points, the start among them."""
+    word = word_of(chosen)
     total, count = 0, 0
     for a, b in itertools.pairwise([0, *order]):
-        leg = slice(problem.first_node[a * n + b], problem.first_node[a * n + b + 1])
-        total += np.count_nonzero(problem.left[leg] | ((problem.left_sites[leg] & word) != 0))
-        total += np.count_nonzero(problem.right[leg] | ((problem.right_sites[leg] & word) != 0))
+        leg = slice(sides.first_node[a * n + b], sides.first_node[a * n + b + 1])
+        total += np.count_nonzero(sides.left[leg] | ((sides.left_sites[leg] & word) != 0))
+        total += np.count_nonzero(sides.right[leg] | ((sides.right_sites[leg] & word) != 0))
         count += leg.stop - leg.start
     return total / count
 
@@ -81,7 +81,7 @@ def deap_rate(problem: PlacementProblem, evaluate, *, seconds: float, size: int 
                 total = 0.0
                 for other in others:
                     route, chosen = (one, other) if first else (other, one)
-                    total += box.evaluate(problem, np.array(route), np.array(chosen, bool))
+                    total += box.evaluate(np.array(route), np.array(chosen, bool))
                     evaluations += 1
                     if time.perf_counter() - began > 4 * seconds:
                         return evaluations / (time.perf_counter() - began)

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from naraha.models.plans import load_floor_plan
 from naraha.systems.errors import ConfigError
-from naraha.systems.placement import EvolutionConfig, RoundsConfig, Verification, learn_from, run_rounds
+from naraha.systems.placement import EvolutionConfig, RoundsConfig, Verification, learn_from, make_problem, run_rounds
 
 from .halls import small_problem
 
@@ -60,28 +61,31 @@ def test_what_failed_is_within_the_limit_no_more_and_far_away_nothing_changes():
     gap = np.hypot(*(problem.poses[:, :2] - where).T)
     assert after.limit[gap <= 6.0].max() == pytest.approx(0.6 * errors.max())
     assert (after.limit[gap > 6.0] == problem.limit[gap > 6.0]).all()
-    near = np.hypot(*(after.nodes_at - where).T) <= 6.0
-    assert (after.penalty[near] > 0).all()
-    assert (after.penalty[~near] == 0).all()
+    near = np.hypot(*(after.sight.places - where).T) <= 6.0
+    assert (after.sight.penalty[near] > 0).all()
+    assert after.sight.reach[near] == pytest.approx(0.5 * problem.sight.reach[near])
+    assert (after.sight.penalty[~near] == 0).all()
     everywhere = learn_from(problem, placement, Verification(False, 9.0, None, "stuck"), CONFIG)
     assert everywhere.limit.max() == pytest.approx(0.5 * errors.max())
 
 
 def test_the_paper_preset_puts_landmarks_where_it_failed():
-    problem = small_problem(0.3)
-    config = RoundsConfig(shares=[0.0], retries=0, evolution=EvolutionConfig(preset="paper"))
-    lost = Verification(False, 1.0, np.array([18.0, 8.0]), "lost")
-    first = run_rounds(problem, lambda plan, placement, sites: lost, config)
-    placement = first.rounds[0].placement
-    seen = problem.sides()
-    again = run_rounds(first.problem, lambda *_: Verification(True, 0.1), config).rounds[0].placement
-    near = np.hypot(*(problem.nodes_at - lost.where).T) <= config.radius
+    """As in the paper: five landmarks fail, and another one is put up where they did."""
+    problem = make_problem(load_floor_plan("construction_hall"))
+    runs = []
 
-    def score_near(found):
-        words = [(side & found.sets[0]) != 0 for side in (seen.left_sites, seen.right_sites)]
-        return np.mean((words[0] | seen.left)[near].astype(int) + (words[1] | seen.right)[near])
+    def verify(plan, placement, sites):
+        runs.append(placement)
+        poses, errors = problem.errors_along(placement.order, placement.chosen)
+        worst = int(np.argmax(errors))
+        return Verification(len(runs) != 4, 0.45, poses[worst, :2] if len(runs) == 4 else None, "lost")
 
-    assert score_near(again) > score_near(placement)
+    found = run_rounds(problem, verify, RoundsConfig(evolution=EvolutionConfig(preset="paper")))
+    assert found.landmarks == [18, 12, 6, 5, 6]
+    failed, again = found.rounds[3], found.rounds[4]
+    gaps = [np.hypot(*(r.placement.sites - failed.verification.where).T) for r in (failed, again)]
+    assert np.count_nonzero(gaps[1] < 8) > np.count_nonzero(gaps[0] < 8)
+    assert found.best.placement.chosen.sum() == 6
 
 
 def test_runs_may_be_made_in_parallel_and_are_reported_in_turn():
