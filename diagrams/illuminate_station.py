@@ -135,7 +135,8 @@ def make_illuminate(
     tour = builder.AddNamedSystem("tour", MeasuringTour(config.tour, way.route, way.stops))
     seeking = builder.AddNamedSystem("goal_seeking", FuzzyGoalSeeking(behaviors.goal_seeking))
     avoidance = builder.AddNamedSystem("obstacle_avoidance", FuzzyObstacleAvoidance(behaviors.obstacle_avoidance))
-    coordinator = builder.AddNamedSystem("coordinator", BehaviorCoordinator(behaviors.coordinator))
+    directions = behaviors.obstacle_avoidance.directions()
+    coordinator = builder.AddNamedSystem("coordinator", BehaviorCoordinator(behaviors.coordinator, directions))
 
     connect(builder, station, "track_displacements", odometry)
     connect(builder, station, "rpy", odometry)

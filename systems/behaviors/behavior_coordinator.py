@@ -15,7 +15,7 @@ from .free_way import braked
 from .fuzzy_obstacle_avoidance import obstacle_points
 
 GOAL, AVOIDANCE = 0, 1
-_CLEAR_BEFORE_GOAL = 0.3
+_SIDE = np.deg2rad(80.0)
 
 
 @dataclass(kw_only=True)
@@ -29,10 +29,10 @@ class CoordinatorConfig:
     # No behaviour is ever quite silent or alone: weights stay within these.
     min_weight: float = quantity(0.02, unit="-", above=0, high=1)
     max_weight: float = quantity(1.0, unit="-", above=0)
-    # [m] Free way ahead at and below which the danger is 1, and at and above which it is 0.
+    # [m] Free way to the goal at and below which the danger is 1, and at and above which it is 0.
     danger_way: float = quantity(0.3, unit="m", low=0)
     safe_way: float = quantity(1.5, unit="m", above=0)
-    # [m] Free way to the sides, by the same rule, counts this much nearer than it is ahead.
+    # [-] Share that is left of the nearness of what is 80 degrees off the goal's direction.
     side_discount: float = quantity(0.35, unit="-", above=0, high=1)
     # [m] radius of the disc that must never touch anything: the robot's and a small margin.
     radius: float = quantity(0.28, unit="m", above=0)
@@ -47,20 +47,20 @@ class CoordinatorConfig:
     weights: list[float] = field(default_factory=lambda: [1.0, 0.02])
 
 
-def perceive(ways: np.ndarray, distance: float, config: CoordinatorConfig) -> np.ndarray:
+def perceive(ways: np.ndarray, directions: np.ndarray, error: np.ndarray, config: CoordinatorConfig) -> np.ndarray:
     """Danger and safety, (2,), each from 0 to 1 and 1 together.
 
-    The danger grows as the free way ahead falls from `safe_way` to `danger_way`; a way to a side counts as if it were
-    longer by 1 / `side_discount`. What is farther off than the goal is no danger.
+    The danger grows as the free way to the goal falls from `safe_way` to `danger_way`; a way in another direction
+    counts as if it were longer, by 1 / `side_discount` for every 80 degrees between. With a free way to the goal there
+    is no danger; what is ahead of a robot that has to turn away from it counts little.
 
     Args:
-        ways: free ways from right to left, (D,) [m]. distance: to the goal [m].
+        ways: free ways, (D,) [m], in the directions (D,) [rad]. error: distance [m] and bearing [rad] of the goal.
     """
-    ways = np.asarray(ways, float)
-    turned = np.abs(np.arange(len(ways)) - len(ways) // 2) / max(len(ways) // 2, 1)
-    seen = ways / (config.side_discount ** (turned)) if len(ways) else np.array([np.inf])
+    towards = np.clip(error[1], directions[0], directions[-1])
+    seen = ways * config.side_discount ** (-np.abs(directions - towards) / _SIDE)
     nearest = float(seen.min())
-    if nearest > distance + _CLEAR_BEFORE_GOAL:
+    if np.interp(towards, directions, ways) > error[0]:
         return np.array([0.0, 1.0])
     danger = float(np.clip((config.safe_way - nearest) / (config.safe_way - config.danger_way), 0.0, 1.0))
     return np.array([danger, 1.0 - danger])
@@ -120,17 +120,24 @@ class BehaviorCoordinator(LeafSystem):
       all: it may be blinded.
     - `weights` (2): of goal seeking and obstacle avoidance, after the last decision.
 
+    Args:
+        config: gains, limits, braking. directions: of the free ways, from right to left [rad].
+
     Raises `ConfigError` for values out of range, `PortError` for inputs that are missing or of another type.
     """
 
-    def __init__(self, config: CoordinatorConfig, *, where: object = "coordinator"):
+    def __init__(self, config: CoordinatorConfig, directions: np.ndarray, *, where: object = "coordinator"):
         super().__init__()
         check_config(config, where=where)
         _check_lengths(config, where)
         self._config = config
+        self._directions = np.array(directions, float)
+        if len(self._directions) < 2 or not (np.diff(self._directions) > 0).all():
+            value, valid = self._directions.tolist(), "rising, at least two"
+            raise ConfigError("directions", where=where, key="directions", value=value, valid=valid)
         for name in ("goal_twist", "avoidance_twist", "goal_error"):
             self.DeclareVectorInputPort(name, 2)
-        self.DeclareVectorInputPort("free_ways", 5)
+        self.DeclareVectorInputPort("free_ways", len(self._directions))
         self.DeclareAbstractInputPort("scan_S", AbstractValue.Make(object()))
         self.DeclareAbstractInputPort("X_BS", AbstractValue.Make(RigidTransform()))
         self.DeclareVectorInputPort("stop", 1)
@@ -152,7 +159,8 @@ class BehaviorCoordinator(LeafSystem):
             for name in ("goal_twist", "avoidance_twist", "goal_error", "free_ways")
         )
         weights = context.get_discrete_state(0).value()
-        weights = update_weights(weights, perceive(ways, error[0], config), config)
+        perceived = perceive(ways, self._directions, error, config)
+        weights = update_weights(weights, perceived, config)
         v, omega = blend(weights, np.array([goal, avoidance]), config)
         points = obstacle_points(scan, eval_typed(self, context, "X_BS", RigidTransform))
         v = braked(v, omega, points, config.radius, config.deceleration, config.delay)

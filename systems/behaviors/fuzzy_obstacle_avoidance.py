@@ -29,6 +29,10 @@ class AvoidanceConfig:
     directions_deg: list[float] = quantity([-80.0, -40.0, 0.0, 40.0, 80.0], unit="deg", low=-180, high=180)
     rules: FuzzyRules = field(default_factory=FuzzyRules)
 
+    def directions(self) -> np.ndarray:
+        """Of the free ways, (5,) [rad]."""
+        return np.deg2rad(self.directions_deg)
+
 
 def obstacle_points(scan: Scan, X_BS: RigidTransform) -> np.ndarray:
     """Points of a scan in the base frame seen from above, (N, 2) [m]."""
@@ -68,7 +72,7 @@ class FuzzyObstacleAvoidance(LeafSystem):
         check_config(config, where=where)
         self._config = config
         self._rules = RuleBase(config.rules, AVOIDANCE_INPUTS, 2, where=where)
-        self._directions = np.deg2rad(config.directions_deg)
+        self._directions = config.directions()
         self.DeclareAbstractInputPort("scan_S", AbstractValue.Make(object()))
         self.DeclareAbstractInputPort("X_BS", AbstractValue.Make(RigidTransform()))
         self.DeclareVectorInputPort("goal_error", 2)

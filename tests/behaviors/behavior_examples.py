@@ -35,8 +35,9 @@ def obstacle_avoidance(seed: int) -> tuple[System, LeafSystem]:
 
 
 def coordination(seed: int) -> tuple[System, LeafSystem]:
+    behaviors = read_behaviors(BEHAVIORS)
     return with_inputs(
-        BehaviorCoordinator(read_behaviors(BEHAVIORS).coordinator),
+        BehaviorCoordinator(behaviors.coordinator, behaviors.obstacle_avoidance.directions()),
         goal_twist=np.array([0.8, 0.1]),
         avoidance_twist=np.array([0.2, -0.7]),
         goal_error=np.array([3.0, 0.4]),

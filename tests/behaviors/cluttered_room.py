@@ -120,7 +120,7 @@ class Robot:
     def drive(self, room: Room, *, seed=0, duration=120.0, tolerance=0.1, acceleration=1.0) -> Drive:
         """Drives to the goal; the speeds follow the commands within the acceleration of both wheels."""
         avoidance, coordinator = self.behaviors.obstacle_avoidance, self.behaviors.coordinator
-        directions, rng, segments = np.deg2rad(avoidance.directions_deg), np.random.default_rng(seed), room.segments
+        directions, rng, segments = avoidance.directions(), np.random.default_rng(seed), room.segments
         weights, pose, twist = np.array(coordinator.weights, float), room.start.copy(), np.zeros(2)
         clearance, period, path = np.inf, coordinator.period, [pose.copy()]
         for i in range(int(duration / period)):
@@ -130,7 +130,7 @@ class Robot:
             points = laser(segments, pose, rng)
             ways = free_ways(points, directions, avoidance.radius, avoidance.reach)
             twists = np.array([self.goal_rules.infer(error), self.avoidance_rules.infer(np.append(ways, error[1]))])
-            weights = update_weights(weights, perceive(ways, error[0], coordinator), coordinator)
+            weights = update_weights(weights, perceive(ways, directions, error, coordinator), coordinator)
             v, omega = blend(weights, twists, coordinator)
             v = braked(v, omega, points, coordinator.radius, coordinator.deceleration, coordinator.delay)
             limit = acceleration * period * np.array([1.0, 4.0])

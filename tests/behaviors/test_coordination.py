@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from naraha.systems.behaviors import (
+    AvoidanceConfig,
     BehaviorCoordinator,
     CoordinatorConfig,
     FuzzyGoalSeeking,
@@ -38,18 +39,23 @@ def test_the_goal_error_is_what_the_robot_sees():
     np.testing.assert_allclose(goal_error(np.array([1.0, 1.0, 2.0]), np.array([1.0, 1.0])), [0.0, 0.0])
 
 
-def test_danger_grows_as_the_way_ahead_gets_short_and_faster_than_at_the_sides():
-    def danger(*ways, distance=10.0):
-        return perceive(np.array(ways), distance, CONFIG)[0]
+DIRECTIONS = AvoidanceConfig().directions()
+
+
+def test_danger_grows_as_the_way_to_the_goal_gets_short_and_faster_than_beside_it():
+    def danger(*ways, distance=10.0, bearing=0.0):
+        return perceive(np.array(ways), DIRECTIONS, np.array([distance, bearing]), CONFIG)[0]
 
     assert danger(2.5, 2.5, 2.5, 2.5, 2.5) == 0
     ahead = [danger(2.5, 2.5, way, 2.5, 2.5) for way in (1.4, 0.9, 0.3, 0.0)]
     assert np.all(np.diff(ahead[:3]) > 0)
     assert ahead[2:] == [1.0, 1.0]
     assert danger(0.4, 2.5, 2.5, 2.5, 2.5) < danger(2.5, 2.5, 0.4, 2.5, 2.5)
+    # What counts is the way to the goal: the same obstacle is ahead, and the goal to the left.
+    assert danger(2.5, 2.5, 0.5, 2.5, 2.5, bearing=2.0) < 0.5 * danger(2.5, 2.5, 0.5, 2.5, 2.5)
     # Before the obstacle there is the goal.
     assert danger(2.5, 2.5, 0.8, 2.5, 2.5, distance=0.4) == 0
-    np.testing.assert_allclose(perceive(np.full(5, 0.7), 10.0, CONFIG).sum(), 1.0)
+    np.testing.assert_allclose(perceive(np.full(5, 0.7), DIRECTIONS, np.array([10.0, 0.3]), CONFIG).sum(), 1.0)
 
 
 def test_weights_move_by_the_gains_and_stay_within_their_limits():
@@ -90,7 +96,7 @@ def test_the_systems_compute_what_the_functions_say():
 
 def coordinator(scan, *, stop=0.0, ways=2.5):
     twist = np.array([0.8, 0.1])
-    system = BehaviorCoordinator(CONFIG)
+    system = BehaviorCoordinator(CONFIG, DIRECTIONS)
     inputs = {"goal_twist": twist, "avoidance_twist": np.array([0.0, 1.0]), "goal_error": np.array([5.0, 0.0])}
     root, system = with_inputs(
         system, **inputs, free_ways=np.full(5, ways), scan_S=scan, X_BS=RigidTransform(), stop=np.array([stop])
@@ -116,9 +122,11 @@ def test_whatever_the_behaviours_want_it_stops_before_what_it_would_touch():
 
 def test_bad_values_and_ports_are_refused():
     with pytest.raises(ConfigError, match="goal_gains: wrong length"):
-        BehaviorCoordinator(CoordinatorConfig(goal_gains=[1.0]))
+        BehaviorCoordinator(CoordinatorConfig(goal_gains=[1.0]), DIRECTIONS)
     with pytest.raises(ConfigError, match="safe_way: out of range"):
-        BehaviorCoordinator(CoordinatorConfig(safe_way=0.2))
+        BehaviorCoordinator(CoordinatorConfig(safe_way=0.2), DIRECTIONS)
+    with pytest.raises(ConfigError, match="directions: directions"):
+        BehaviorCoordinator(CONFIG, DIRECTIONS[::-1])
     avoidance = FuzzyObstacleAvoidance(read_behaviors(BEHAVIORS).obstacle_avoidance)
     context = avoidance.CreateDefaultContext()
     with pytest.raises(PortError, match="scan_S: input port is not connected"):
