@@ -76,15 +76,21 @@ def perform(run: SnakeRun, proposal: Proposal, watch: Callable[[], None]) -> tup
     return run.time - start, reason
 
 
-def drive_on(run: SnakeRun, speed: float, seconds: float, watch: Callable[[], None]) -> float:
-    """Drives on by shift control, while it gets anywhere; returns how far the head got, seen from above [m]."""
+def drive_on(
+    run: SnakeRun, speed: float, seconds: float, watch: Callable[[], None], *, enough: float = np.inf
+) -> float:
+    """Drives on by shift control, while it gets anywhere and has not got far `enough` [m].
+
+    Returns:
+        How far the head got, seen from above [m].
+    """
     start, begin, advance = run.head(), run.time, 0.0
     run.give(Move(kind="shift", speed=speed))
     for _ in range(round(seconds / STEP)):
         run.advance(STEP)
         watch()
         advance = float(np.linalg.norm((run.head() - start)[:2]))
-        if advance < HOPELESS_ADVANCE and run.time - begin >= HOPELESS_TIME:
+        if advance >= enough or (advance < HOPELESS_ADVANCE and run.time - begin >= HOPELESS_TIME):
             break
     return advance
 

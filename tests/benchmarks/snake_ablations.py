@@ -108,7 +108,7 @@ def in_stuck_world(kind: int, seed: int, name: str) -> Outcome:
         proposal = recover_moves(case.unit, angles, rpy, snake_body(scenario), scenario.planner)[0]
     watch = _Watch(run, np.array(scenario.snake.joint_limits()))
     seconds, _ = perform(run, proposal, watch)
-    advance = drive_on(run, SPEED, DRIVE_TIME, lambda: None)
+    advance = drive_on(run, SPEED, DRIVE_TIME, lambda: None, enough=FREE)
     return Outcome(advance >= FREE, seconds, watch.head, watch.control, watch.joints, watch.tip)
 
 
