@@ -6,11 +6,11 @@ import numpy as np
 
 from ..config import check_config, quantity
 from ..errors import ConfigError
+from ..random_kernels import seeded
 from .follow_kernels import follow, route_length, sides_seen
 from .memetic_evolution import evolve_together
 from .paper_kernels import evolve_as_published
 from .problem import PlacementProblem, sites_of, word_of
-from .random_kernels import seeded
 
 
 @dataclass(kw_only=True)

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..random_kernels import seeded
 from .follow_kernels import bits_set, route_length, sides_seen
 from .memetic_kernels import cost_table, improve_route, improve_sites, shorten
 from .paper_kernels import vary_route, vary_sites
 from .problem import PlacementProblem
-from .random_kernels import seeded
 
 if TYPE_CHECKING:
     from .evolve import EvolutionConfig

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
+from ..random_kernels import shuffled
 from .follow_kernels import Tables, Word, bits_set, follow, route_length
-from .random_kernels import shuffled
 
 
 @njit(cache=True)

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
+from ..random_kernels import draw, uniform
 from .follow_kernels import Sides, Word, bits_set, route_length, sides_seen
-from .random_kernels import draw, uniform
 
 
 @njit(cache=True)

@@ -1,16 +1,14 @@
 """What the four motions come to on each kind of ground, measured, as a file beside the robot's model (row S0-h)."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import yaml
-from pydrake.common.yaml import yaml_load_data, yaml_load_typed
 
 from ..config import check_config, quantity
+from ..config_files import read_config, write_config
 from ..errors import ConfigError
-from ..files import replacing
 from .motion_model import ACTIONS, MotionModel, from_primitives
 from .route_grid import TERRAINS
 
@@ -114,23 +112,14 @@ def read_primitives(path: Path) -> Primitives:
     Raises:
         ConfigError: no such file, not YAML, an unknown key, a value out of range.
     """
-    try:
-        text = path.read_text()
-        if not isinstance(yaml_load_data(text), dict):
-            raise ValueError("not a mapping")
-        primitives: Primitives = yaml_load_typed(schema=Primitives, data=text)
-    except OSError as error:
-        raise ConfigError(error.strerror or "cannot be read", where=path) from None
-    except (yaml.YAMLError, ValueError, RuntimeError, TypeError, KeyError) as error:
-        raise ConfigError(f"not measured motions: {' '.join(str(error).split())}", where=path) from None
+    primitives = read_config(path, Primitives, "not measured motions")
     check_primitives(primitives, where=path)
     return primitives
 
 
 def write_primitives(path: Path, primitives: Primitives) -> None:
     """Writes measured motions that `read_primitives` reads back to the same."""
-    with replacing(path) as temporary:
-        temporary.write_text(yaml.safe_dump(asdict(primitives), sort_keys=False, default_flow_style=None, width=120))
+    write_config(path, primitives)
 
 
 def check_primitives(primitives: Primitives, *, where: object = "primitives") -> None:

@@ -3,24 +3,7 @@
 import numpy as np
 from numba import njit
 
-_UNIT = 2.0**-53
-
-
-@njit(cache=True)
-def next_random(rng: np.ndarray) -> int:
-    """The next 64 random bits of xorshift64* (Vigna 2016); the lowest are weak. rng: (1,) uint64, not 0."""
-    x = rng[0]
-    x ^= x >> np.uint64(12)
-    x ^= x << np.uint64(25)
-    x ^= x >> np.uint64(27)
-    rng[0] = x
-    return x * np.uint64(2685821657736338717)
-
-
-@njit(cache=True)
-def uniform(rng: np.ndarray) -> float:
-    """A random number in [0, 1)."""
-    return float(next_random(rng) >> np.uint64(11)) * _UNIT
+from ..random_kernels import next_random, uniform, unit_share
 
 
 @njit(cache=True)
@@ -102,7 +85,7 @@ def q_steps(
         done += 1
         r = next_random(rng)
         bits = np.int64((r >> np.uint64(5)) & np.uint64(3))
-        a = bits if float(r >> np.uint64(11)) * _UNIT < epsilon else _greedy(q, s, bits)
+        a = bits if unit_share(r) < epsilon else _greedy(q, s, bits)
         o = 0 if certain else drawn_outcome(cumulative[terrain[s // 8], a], rng)
         n, gain = successor[s, a, o], reward[s, a, o]
         _update(q, visits, s, a, n, gain, rates)

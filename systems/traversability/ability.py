@@ -1,14 +1,11 @@
 """What a robot can drive over: membership functions, rules and limits, one YAML file a robot (rows S3-b, S3-e)."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import yaml
-from pydrake.common.yaml import yaml_load_data, yaml_load_typed
-
 from ..config import check_config, quantity
+from ..config_files import read_config, write_config
 from ..errors import ConfigError
-from ..files import replacing
 from .mamdani import FuzzyConfig, check_fuzzy
 
 
@@ -45,23 +42,14 @@ def read_ability(path: Path) -> Ability:
         ConfigError: no such file, not YAML, an unknown key, a value out of range, memberships that are no trapezoids,
             or a table of rules with a hole.
     """
-    try:
-        text = path.read_text()
-        if not isinstance(yaml_load_data(text), dict):
-            raise ValueError("not a mapping")
-        ability: Ability = yaml_load_typed(schema=Ability, data=text)
-    except OSError as error:
-        raise ConfigError(error.strerror or "cannot be read", where=path) from None
-    except (yaml.YAMLError, ValueError, RuntimeError, TypeError, KeyError) as error:
-        raise ConfigError(f"not an ability: {' '.join(str(error).split())}", where=path) from None
+    ability = read_config(path, Ability, "not an ability")
     check_ability(ability, where=path)
     return ability
 
 
 def write_ability(path: Path, ability: Ability) -> None:
     """Writes an ability that `read_ability` reads back to the same."""
-    with replacing(path) as temporary:
-        temporary.write_text(yaml.safe_dump(asdict(ability), sort_keys=False, default_flow_style=None, width=120))
+    write_config(path, ability)
 
 
 def check_ability(ability: Ability, *, where: object = "ability") -> None:

@@ -11,7 +11,7 @@ from naraha.systems.placement.follow_kernels import follow, route_length, sides_
 from naraha.systems.placement.memetic_kernels import cost_table, shorten
 from naraha.systems.placement.paper_kernels import evolve_as_published, vary_route, vary_sites
 from naraha.systems.placement.problem import sites_of, word_of
-from naraha.systems.placement.random_kernels import draw, seeded, shuffled, uniform
+from naraha.systems.random_kernels import draw, seeded, shuffled, uniform
 
 from .halls import small_problem
 

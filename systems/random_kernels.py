@@ -12,8 +12,8 @@ def seeded(seed: int) -> np.ndarray:
 
 
 @njit(cache=True)
-def _next(rng: np.ndarray) -> int:
-    """The next 64 bits of xorshift64* (Vigna 2016); the lowest are weak."""
+def next_random(rng: np.ndarray) -> int:
+    """The next 64 bits of xorshift64* (Vigna 2016); the lowest are weak. rng: (1,) uint64, not 0."""
     x = rng[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
@@ -23,9 +23,15 @@ def _next(rng: np.ndarray) -> int:
 
 
 @njit(cache=True)
+def unit_share(bits: int) -> float:
+    """The number in [0, 1) that 64 random bits stand for."""
+    return float(bits >> np.uint64(11)) * _UNIT
+
+
+@njit(cache=True)
 def uniform(rng: np.ndarray) -> float:
     """A random number in [0, 1)."""
-    return float(_next(rng) >> np.uint64(11)) * _UNIT
+    return unit_share(next_random(rng))
 
 
 @njit(cache=True)
