@@ -7,8 +7,9 @@ from .evolution_strategy import EvolutionConfig, evolve, evolve_as_paper
 from .graph_mapping import GraphMapper, GraphMappingConfig
 from .laser_scan import LaserRing, LaserScan, LaserScanError, no_scan, ring_to_laser_scan
 from .likelihood_field import LikelihoodField, make_field
+from .localizer_config import LocalizerConfig
 from .occupancy_grid import OccupancyConfig, OccupancyGrid, OccupancyGridError
-from .scan_localization import Localization, LocalizerConfig, localize, start_localization
+from .scan_localization import Localization, localize, start_localization
 from .uncertainty import PlanarOdometryAccuracy, odometry_step_covariance
 
 __all__ = [

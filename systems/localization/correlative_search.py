@@ -29,6 +29,9 @@ class CorrelativeSearchConfig:
     window: int = quantity(6, unit="cells", low=2)
     # [m] Deviation of the likelihood field.
     fit_deviation: float = quantity(0.1, unit="m", above=0)
+    # [m], [-] Another pose, farther away than this, that scores as much of the best, is a rival: the place looks alike.
+    rival_distance: float = quantity(0.5, unit="m", above=0)
+    rival_score: float = quantity(0.92, unit="-", above=0, high=1)
     # [beams] As many of a scan are used, evenly.
     beams: int = quantity(120, unit="beams", low=10)
 
@@ -62,23 +65,27 @@ def make_search_image(field: LikelihoodField, config: CorrelativeSearchConfig) -
 
 def correlative_search(
     image: SearchImage, points: np.ndarray, expected: np.ndarray, config: CorrelativeSearchConfig
-) -> tuple[np.ndarray, float]:
-    """Best pose X_MB (3,) on the lattice around the `expected` one, and its score, the mean likelihood, in [0, 1].
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Best pose X_MB on the lattice around the `expected` one.
 
     Args:
         points: p_BP, where beams ended, (n, 2) [m].
+
+    Returns:
+        The pose (3,), its score, the mean likelihood, in [0, 1], and the shift (2,) [m] to a rival, zero without one.
     """
     if len(points) > config.beams:
         points = points[np.linspace(0, len(points) - 1, config.beams).astype(int)]
     steps = math.ceil(config.angle_deg / config.angle_step_deg)
     angles = expected[2] + math.radians(config.angle_step_deg) * np.arange(-steps, steps + 1)
     reach = math.ceil(config.distance / image.resolution)
-    x, y, k, score = _search(
+    x, y, k, score, rival_x, rival_y = _search(
         image.fine, image.coarse, np.ascontiguousarray(points / image.resolution),
         (np.asarray(expected[:2]) - image.origin) / image.resolution, angles, reach, config.window,
+        config.rival_distance / image.resolution, config.rival_score,
     )  # fmt: skip
     found = np.array([expected[0] + x * image.resolution, expected[1] + y * image.resolution, angles[k]])
-    return found, score
+    return found, score, np.array([rival_x - x, rival_y - y]) * image.resolution
 
 
 @njit(cache=True)
@@ -100,8 +107,10 @@ def _search(
     angles: np.ndarray,
     reach: int,
     window: int,
-) -> tuple[int, int, int, float]:
-    """Shift (x, y) [cells], index of the angle and score of the best; all lengths in cells."""
+    apart: float,
+    alike: float,
+) -> tuple[int, int, int, float, int, int]:
+    """Shift (x, y), index of the angle and score of the best, shift of its rival or the same; all lengths in cells."""
     count = len(points)
     cells = np.empty((len(angles), count, 2), np.int64)
     for k in range(len(angles)):
@@ -128,4 +137,13 @@ def _search(
                 score = _score(fine, cells[k], x, y)
                 if score > best:
                     best, best_x, best_y, best_k = score, x, y, k
-    return best_x, best_y, best_k, best / max(count, 1)
+    for n in range(len(order)):
+        at = int(order[n])
+        if bounds[at] < alike * best:
+            break
+        k, p, q = at // (across * across), (at // across) % across, at % across
+        for x in range(p * window - reach, (p + 1) * window - reach):
+            for y in range(q * window - reach, (q + 1) * window - reach):
+                if (x - best_x) ** 2 + (y - best_y) ** 2 > apart**2 and _score(fine, cells[k], x, y) >= alike * best:
+                    return best_x, best_y, best_k, best / max(count, 1), x, y
+    return best_x, best_y, best_k, best / max(count, 1), best_x, best_y

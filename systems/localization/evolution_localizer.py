@@ -11,9 +11,10 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
 from .laser_scan import LaserScan
+from .localizer_config import LocalizerConfig
 from .occupancy_grid import OccupancyGrid
 from .planar import between, compose, from_matrix, to_matrix
-from .scan_localization import Localization, LocalizerConfig, localize, start_localization
+from .scan_localization import Localization, localize, start_localization
 
 # [s] Scans are looked for so long after the full period: of what happens at one instant, Drake shows every system the
 # state from before, and a scan that ends then would be taken a whole period late, with the odometry of then.

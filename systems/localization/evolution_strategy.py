@@ -6,8 +6,8 @@ import numpy as np
 
 from ..config import quantity
 from ..noise import generator_at
+from .evolution_kernels import evolve_mu_plus_lambda, evolve_mu_plus_one
 from .likelihood_field import LikelihoodField
-from .match_kernels import evolve_mu_plus_lambda, evolve_mu_plus_one
 from .occupancy_grid import OccupancyGrid
 
 

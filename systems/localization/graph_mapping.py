@@ -15,10 +15,11 @@ from ..pose_graph import LOOP, REGISTRATION, PoseGraph, RobustLoopsConfig, decid
 from .correlative_search import CorrelativeSearchConfig, SearchImage, correlative_search, make_search_image
 from .laser_scan import LaserScan
 from .likelihood_field import LikelihoodField, make_field
+from .localizer_config import LocalizerConfig
 from .match_kernels import find_patches, refine
 from .occupancy_grid import OccupancyGrid
-from .planar import between, compose, from_matrix, inverse, to_matrix, transform
-from .scan_localization import Localization, LocalizerConfig, localize, start_localization, usable_points
+from .planar import between, compose, from_matrix, inverse, to_matrix, transform, turned
+from .scan_localization import Localization, localize, start_localization, usable_points
 from .uncertainty import PlanarOdometryAccuracy, information_of, odometry_step_covariance
 
 
@@ -67,11 +68,10 @@ class MapKeyframe:
 
 @dataclass(frozen=True, eq=False)
 class Submap:
-    """A finished submap in the axes of the localiser; `anchor` is the keyframe in its middle."""
+    """A finished submap of keyframes `first` to `last`, in the axes of the localiser."""
 
     first: int
     last: int
-    anchor: int
     likelihood: LikelihoodField
     image: SearchImage
 
@@ -191,7 +191,7 @@ class GraphMapper:
             known, reach = self._known, self.config.localizer.reach
             image = make_search_image(known.likelihood, self.config.search)
             first = self._current_first
-            self.submaps.append(Submap(first, k, (first + k) // 2, known.likelihood, image))
+            self.submaps.append(Submap(first, k, known.likelihood, image))
             self._known = replace(known, grid=self._next, likelihood=make_field(self._next, reach))
             self._current_first, self._next_first = self._next_first, k
             empty = OccupancyGrid.empty(self.config.localizer.occupancy)
@@ -218,11 +218,16 @@ class GraphMapper:
                 self.accepted = np.append(self.accepted, False)
 
     def _match_submap(self, k: int, submap: Submap) -> tuple[int, int, np.ndarray, np.ndarray] | None:
-        """The loop from the submap's anchor to keyframe k, where the scan lies on the submap well enough."""
-        config, keyframe, anchor = self.config, self.keyframes[k], self.keyframes[submap.anchor]
+        """A loop to keyframe k from the one of the submap next to it, where the scan lies on the submap well enough.
+
+        A submap bends a little over its length; the place next to where the scan lies is what it lies on.
+        """
+        config, keyframe = self.config, self.keyframes[k]
+        inside = slice(submap.first, submap.last + 1)
+        nearest = submap.first + _nearest(self.poses[inside], self.poses[k])
         # Where the graph expects the keyframe, in the axes that the submap was made in.
-        expected = compose(anchor.local, between(self.poses[submap.anchor], self.poses[k]))
-        found, score = correlative_search(submap.image, keyframe.points, expected, config.search)
+        expected = compose(self.keyframes[nearest].local, between(self.poses[nearest], self.poses[k]))
+        found, score, rival = correlative_search(submap.image, keyframe.points, expected, config.search)
         if score < config.min_score:
             return None
         lf, c = submap.likelihood, config.localizer
@@ -238,8 +243,12 @@ class GraphMapper:
             return None
         information = information_of(A, T, math.radians(c.mapped_normal_deviation_deg)) + 1e-3 * np.eye(3)
         floor = _floor(config.loop_deviation, config.loop_deviation_deg)
-        covariance = np.linalg.inv(_into_body(information, refined)) + floor
-        return submap.anchor, k, between(anchor.local, refined), np.linalg.inv(covariance)
+        covariance = np.linalg.inv(information)
+        covariance[:2, :2] += np.outer(rival, rival)  # it may be there as well
+        covariance = turned(covariance, -refined[2]) + floor
+        local = np.array([one.local for one in self.keyframes[inside]])
+        anchor = submap.first + _nearest(local, refined)
+        return anchor, k, between(local[anchor - submap.first], refined), np.linalg.inv(covariance)
 
     def _optimize(self) -> None:
         if not self.loops:
@@ -251,6 +260,10 @@ class GraphMapper:
         self.accepted = decision.accepted[len(self._edges) :]
         self.poses = from_matrix(decision.poses)
         self._decided = len(self.loops)
+
+
+def _nearest(poses: np.ndarray, X: np.ndarray) -> int:
+    return int(np.argmin(np.linalg.norm(poses[:, :2] - X[:2], axis=1)))
 
 
 def _floor(deviation: float, degrees: float) -> np.ndarray:

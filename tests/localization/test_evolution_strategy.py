@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 from naraha.systems.localization import EvolutionConfig, OccupancyGrid, evolve, evolve_as_paper, make_field
-from naraha.systems.localization.match_kernels import hit_share, likelihood_fitness, normal_equations
+from naraha.systems.localization.evolution_kernels import hit_share
+from naraha.systems.localization.match_kernels import likelihood_fitness, normal_equations
 from naraha.systems.localization.planar import difference
 
 from .rooms import rasterised, room, scan_in
