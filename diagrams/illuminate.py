@@ -179,7 +179,7 @@ def run_products(
             axes.plot(*record.track[:, 4:6].T, color=BELIEF, lw=1, label="believed")
         else:
             draw_placement(axes, planned.problem, planned.best, track=record.track, failed_at=failed_at, links=False)
-        axes.legend(fontsize=8)
+        figure.legend(loc="outside lower center", ncols=5, fontsize=8)
         save_figure(figure, mission.path("run.png"))
         if planned.problem is not None and planned.best is not None:
             save_figure(draw_errors(planned.problem, planned.best, record.track), mission.path("errors.png"))
