@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 
 _FREE, _HIT = 1, 2
+# Owners of cells that no scan hit first: of none, and of those that a plan says are occupied.
+NOBODY, PLAN = -1, -2
 # Half the windows that lines are fitted in [cells], the smaller for corners and clutter; part of the variance along a
 # line that may be across it; least number of cells; largest deviation of the normal [rad], and deviation of a hit
 # [cells].
@@ -43,7 +45,7 @@ def add_scan(
     """Adds one scan in place: its end points are hit, what its beams cross is free; each cell once, a hit before free.
 
     Args:
-        log_odds: (nx, ny) float32. hits: (nx, ny, 5) float32. owner: (nx, ny) int32, -1 where nothing was hit.
+        log_odds: (nx, ny) float32. hits: (nx, ny, 5) float32. owner: (nx, ny) int32, `NOBODY` where nothing was hit.
         laser: (2,) and ends: (n, 2), in cells from the corner of cell (0, 0); all inside the grid.
         hit, miss: what is added to the log-odds; lowest, highest: where it stops.
         sparse: ends farther from both their neighbours than this [cells] do not show a surface, only that it is there.
@@ -58,7 +60,7 @@ def add_scan(
     for k in range(len(ends)):
         i, j = int(ends[k, 0]), int(ends[k, 1])
         seen[i - i0, j - j0] = _HIT
-        if owner[i, j] < 0:
+        if owner[i, j] == NOBODY:
             owner[i, j] = keyframe
         if not _is_dense(ends, k, sparse):
             continue
@@ -81,9 +83,9 @@ def add_scan(
                 log_odds[i, j] = min(log_odds[i, j] + hit, highest)
             elif state == _FREE:
                 log_odds[i, j] = max(log_odds[i, j] + miss, lowest)
-                if log_odds[i, j] <= 0.0 and owner[i, j] >= 0:
+                if log_odds[i, j] <= 0.0 and owner[i, j] != NOBODY:
                     hits[i, j, :] = 0.0
-                    owner[i, j] = -1
+                    owner[i, j] = NOBODY
 
 
 @njit(cache=True)

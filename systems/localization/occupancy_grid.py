@@ -6,7 +6,7 @@ import numpy as np
 
 from ..config import check_config, quantity
 from ..errors import InputError
-from .grid_kernels import add_scan
+from .grid_kernels import NOBODY, PLAN, add_scan
 from .planar import transform
 
 # A grid with more cells comes from a pose that is kilometres off.
@@ -48,7 +48,7 @@ class OccupancyGrid:
         log_odds: (nx, ny) float32; 0 where nothing is known.
         origin: (2,) [m], of the corner of cell (0, 0). resolution: [m].
         hits: (nx, ny, 5) float32, where in a cell beams ended and from where they came, see `grid_kernels`.
-        owner: (nx, ny) int32, number of the scan that hit a cell first, -1 where none did or a plan gave it.
+        owner: (nx, ny) int32, number of the scan that hit a cell first, or `PLAN`, or `NOBODY`.
     """
 
     log_odds: np.ndarray
@@ -70,7 +70,7 @@ class OccupancyGrid:
         if hits.shape[:2] != log_odds.shape:
             hits = np.zeros((*log_odds.shape, 5), np.float32)
         if owner.shape != log_odds.shape:
-            owner = np.full(log_odds.shape, -1, np.int32)
+            owner = np.full(log_odds.shape, NOBODY, np.int32)
         for name, array in (("log_odds", log_odds), ("origin", origin), ("hits", hits), ("owner", owner)):
             array = array.view()
             array.setflags(write=False)
@@ -99,7 +99,8 @@ class OccupancyGrid:
         config = config or OccupancyConfig()
         check_config(config, key="occupancy")
         known = np.where(np.asarray(occupied, bool), config.highest, config.lowest).astype(np.float32)
-        return OccupancyGrid(known, np.zeros(2) if origin is None else origin, resolution)
+        owner = np.where(known > 0, PLAN, NOBODY).astype(np.int32)
+        return OccupancyGrid(known, np.zeros(2) if origin is None else origin, resolution, owner=owner)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -146,7 +147,7 @@ class OccupancyGrid:
             raise OccupancyGridError("the points reach too far", where="occupancy grid", value=value, valid=valid)
         inside = tuple(slice(b, b + n) for b, n in zip(before, self.shape, strict=True))
         log_odds, hits = np.zeros(shape, np.float32), np.zeros((*shape, 5), np.float32)
-        owner = np.full(shape, -1, np.int32)
+        owner = np.full(shape, NOBODY, np.int32)
         log_odds[inside], hits[inside], owner[inside] = self.log_odds, self.hits, self.owner
         return OccupancyGrid(log_odds, origin - before * self.resolution, self.resolution, hits, owner)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..config import check_config
 from .evolution_strategy import evolve, evolve_as_paper
+from .grid_kernels import NOBODY, PLAN
 from .laser_scan import LaserScan
 from .likelihood_field import LikelihoodField, make_field
 from .localizer_config import LocalizerConfig
@@ -106,8 +107,7 @@ def localize(
     moved = math.hypot(step[0], step[1]) / config.new_look + abs(step[2]) / math.radians(config.new_look_deg)
     ahead = replace(
         known, pose=pose, covariance=covariance + _LEAST, relative=relative + _LEAST, time=scan.time,
-        scans=known.scans + 1, X_OB=X_OB,
-        look=min(known.look + moved, 1.0),
+        scans=known.scans + 1, X_OB=X_OB, look=min(known.look + moved, 1.0),
     )  # fmt: skip
     points = usable_points(scan, config, X_BS, step, scan.time - known.time if known.scans else 0.0)
     if len(points) < config.min_beams:
@@ -224,10 +224,11 @@ def _map_covariance(known: Localization, points: np.ndarray) -> np.ndarray:
     ij = np.floor((transform(known.pose, points) - lf.origin) / lf.resolution).astype(int)
     inside = ((ij >= 0) & (ij < lf.owner.shape)).all(axis=1)
     owners, counts = np.unique(lf.owner[tuple(ij[inside].T)], return_counts=True)
-    counts = counts[owners >= 0]
-    for owner, count in zip(owners[owners >= 0], counts, strict=True):
-        dx, dy = known.pose[:2] - known.keyframes[owner, :2]
-        result += count / counts.sum() * levered(known.keyframe_covariances[owner], dx, dy)
+    seen = owners != NOBODY
+    for owner, count in zip(owners[seen], counts[seen], strict=True):
+        if owner != PLAN:  # a plan is right
+            dx, dy = known.pose[:2] - known.keyframes[owner, :2]
+            result += count / counts[seen].sum() * levered(known.keyframe_covariances[owner], dx, dy)
     return result
 
 
