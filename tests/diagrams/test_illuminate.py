@@ -87,6 +87,17 @@ def test_a_run_out_of_time_says_how_many_points_are_left(scenario):
     assert np.isnan(record.metrics()["max_position_error_m"])
 
 
+@pytest.mark.parametrize("name", ["construction_hall", "construction_hall_unplanned", "construction_hall_paper"])
+def test_every_shipped_scenario_says_how_it_plans_and_localises_and_starts(name):
+    scenario = load_illuminate(name, ["recording=null"])
+    assert (scenario.planning is None) == scenario.localizer.mapping == (name == "construction_hall_unplanned")
+    assert scenario.localizer.method == ("paper" if name.endswith("paper") else "naraha")
+    plan = read_plan(scenario)
+    record = run_once(replace(scenario, duration=3.0), plan, straight_route(plan), 0, 0.4)
+    assert np.hypot(*(record.track[-1, 1:3] - plan.start[:2])) > 0.5
+    assert record.slam_errors.max() < 0.1
+
+
 def run_with(error, status="done"):
     measured = Measurement(0, 9.0, 1.0, 2.0, 300.0, 1.0, 5)
     points = (PointRecord(4, (1.0, 2.0), measured, (1.0 + error, 2.0), 300.0), PointRecord(7, (5.0, 2.0)))
