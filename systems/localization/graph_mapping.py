@@ -52,7 +52,7 @@ class GraphMappingConfig:
     edge_deviation_deg: float = quantity(0.15, unit="deg", above=0)
     loop_deviation: float = quantity(0.04, unit="m", above=0)
     loop_deviation_deg: float = quantity(0.4, unit="deg", above=0)
-    # [loops] After so many new ones the graph is optimised.
+    # [loops] After so many new ones, and a tenth of those that are known, the graph is optimised.
     optimize_every: int = quantity(25, unit="loops", low=1)
     robust: RobustLoopsConfig = field(default_factory=lambda: RobustLoopsConfig(false_reach=3.0))
 
@@ -176,7 +176,7 @@ class GraphMapper:
         self._roll_submaps(keyframe, k)
         if k % self.config.search_every == 0:
             self._find_loops(k)
-        if len(self.loops) - self._decided >= self.config.optimize_every:
+        if len(self.loops) - self._decided >= max(self.config.optimize_every, 0.1 * self._decided):
             self._optimize()
 
     def _roll_submaps(self, keyframe: MapKeyframe, k: int) -> None:
