@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from naraha.diagrams.illuminate import judged, load_illuminate, read_plan
+from naraha.diagrams.illuminate import illuminate, judged, load_illuminate, read_plan
 from naraha.diagrams.illuminate_log import PointRecord, RunRecord
 from naraha.diagrams.illuminate_planning import VerifyInPhysics, verification_of
 from naraha.diagrams.illuminate_run import run_once
 from naraha.diagrams.illuminate_station import MeasuringRunConfig, make_illuminate, straight_route
-from naraha.diagrams.mission import Ending
+from naraha.diagrams.mission import Ending, Options
 from naraha.diagrams.scenario import dump_scenario
 from naraha.systems.behaviors import Measurement
 from naraha.systems.errors import InputError
@@ -192,6 +192,13 @@ def test_bad_input_is_one_line(tmp_path, changes, settings, words):
         build()
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_plan_without_a_place_for_a_landmark_is_refused(tmp_path):
+    settings = [f"plan={room_file(tmp_path)}", "recording=null"]
+    scenario = load_illuminate("construction_hall", settings)
+    with pytest.raises(InputError, match="no place for a landmark"):
+        illuminate(scenario, Options(out=tmp_path / "out"))
 
 
 def test_a_robot_whose_laser_is_blinded_stands_and_says_that_it_is_lost(scenario):
