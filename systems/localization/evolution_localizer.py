@@ -1,12 +1,13 @@
 """The localiser as a system: laser scans and odometry in, pose and how far to trust it out."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 
 from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
@@ -19,6 +20,19 @@ from .scan_localization import Localization, localize, start_localization
 # [s] Scans are looked for so long after the full period: of what happens at one instant, Drake shows every system the
 # state from before, and a scan that ends then would be taken a whole period late, with the odometry of then.
 _AFTER_SCAN = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """Abstract state; read-only, so that Drake may share it: `time` and `X_OB` are those of the last look."""
+
+    known: Localization
+    index: int = -1
+    time: float = 0.0
+    X_OB: np.ndarray | None = None
+
+    def __deepcopy__(self, memo: dict) -> "_Held":
+        return self
 
 
 class EvolutionLocalizer(LeafSystem):
@@ -89,7 +103,7 @@ class EvolutionLocalizer(LeafSystem):
         self._X_BS, self._seed = X_BS, seed
         self.DeclareAbstractInputPort("laser_scan", AbstractValue.Make(object()))
         odometry = self.DeclareAbstractInputPort("X_OB", AbstractValue.Make(RigidTransform()))
-        self._state = self.DeclareAbstractState(AbstractValue.Make((first, -1)))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(_Held(first)))
         state = self.abstract_state_ticket(self._state)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, _AFTER_SCAN, self._TakeScan)
         self.DeclareAbstractOutputPort(
@@ -109,26 +123,32 @@ class EvolutionLocalizer(LeafSystem):
             "localization", lambda: AbstractValue.Make(first), weak_method(self._CalcLocalization), {state}
         )
 
-    def _known(self, context: Context) -> tuple[Localization, int]:
+    def _held(self, context: Context) -> _Held:
         held: Any = context.get_abstract_state(int(self._state))
         return held.get_value()
+
+    def _known(self, context: Context) -> Localization:
+        return self._held(context).known
 
     def _odometry(self, context: Context) -> np.ndarray:
         return from_matrix(eval_typed(self, context, "X_OB", RigidTransform).GetAsMatrix4())
 
-    def _TakeScan(self, context: Context, state: State) -> EventStatus:
+    def _TakeScan(self, context: Context, state: State) -> None:
         scan = eval_typed(self, context, "laser_scan", LaserScan)
-        known, index = self._known(context)
-        if scan.index in (-1, index):
-            return EventStatus.DidNothing()
-        after = localize(known, scan, self._odometry(context), self._config, X_BS=self._X_BS, seed=self._seed)
+        before, now, X_OB = self._held(context), context.get_time(), self._odometry(context)
+        known, index = before.known, before.index
+        if scan.index not in (-1, index):
+            X_OS = X_OB
+            if before.X_OB is not None and before.time < scan.time < now:
+                part = (scan.time - before.time) / (now - before.time)
+                X_OS = compose(before.X_OB, part * between(before.X_OB, X_OB))
+            known, index = localize(known, scan, X_OS, self._config, X_BS=self._X_BS, seed=self._seed), scan.index
         held: Any = state.get_mutable_abstract_state(int(self._state))
-        held.set_value((after, scan.index))
-        return EventStatus.Succeeded()
+        held.set_value(_Held(known, index, now, X_OB))
 
     def _pose(self, context: Context) -> np.ndarray:
         """The last scan's pose, and the odometry since."""
-        known, _ = self._known(context)
+        known = self._known(context)
         if known.X_OB is None:
             return known.pose
         return compose(known.pose, between(known.X_OB, self._odometry(context)))
@@ -140,16 +160,16 @@ class EvolutionLocalizer(LeafSystem):
         output.SetFromVector(self._pose(context))
 
     def _CalcCovariance(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._known(context)[0].covariance.ravel())
+        output.SetFromVector(self._known(context).covariance.ravel())
 
     def _CalcHealth(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.array([self._known(context)[0].health]))
+        output.SetFromVector(np.array([self._known(context).health]))
 
     def _CalcLost(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.array([float(self._known(context)[0].lost)]))
+        output.SetFromVector(np.array([float(self._known(context).lost)]))
 
     def _CalcGrid(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._known(context)[0].grid)
+        output.set_value(self._known(context).grid)
 
     def _CalcLocalization(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._known(context)[0])
+        output.set_value(self._known(context))

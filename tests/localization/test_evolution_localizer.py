@@ -84,6 +84,19 @@ def test_between_scans_the_pose_goes_on_with_odometry():
     np.testing.assert_allclose(after - before, [0.3 * np.cos(before[2]), 0.3 * np.sin(before[2]), 0], atol=1e-9)
 
 
+def test_a_scan_belongs_to_odometry_of_its_own_time():
+    """A scan that is half a period old is not taken for one of now: the robot drives 1 m/s."""
+    system = EvolutionLocalizer(LocalizerConfig(), grid=plan(), start=START, period=0.2)
+    context = evaluated(system, scan_in(room(), START, time=0.0, index=0), RigidTransform())
+    half = drive(START, [[0.1, 0.0, 0.0]])[1]
+    scan = scan_in(room(), half, time=0.1, index=1)
+    system.GetInputPort("laser_scan").FixValue(context, AbstractValue.Make(scan))
+    system.GetInputPort("X_OB").FixValue(context, AbstractValue.Make(RigidTransform([0.2, 0, 0])))
+    Simulator(system, context).AdvanceTo(0.21)
+    np.testing.assert_allclose(system.GetOutputPort("localization").Eval(context).X_OB, [0.1, 0, 0], atol=0.002)
+    np.testing.assert_allclose(system.GetOutputPort("pose").Eval(context), np.add(START, [0.2, 0, 0]), atol=0.02)
+
+
 def test_before_the_first_scan_the_pose_is_the_start():
     system = EvolutionLocalizer(grid=plan(), start=START)
     context = evaluated(system, no_scan(), RigidTransform([1, 0, 0]))
