@@ -50,8 +50,8 @@ class SurveyLog(DiagramReader):
         for name, port in self._sources.items():
             self.trajectories[name].append(time, self.read(port))
         reached = self._reached()
-        if reached > self._last_waypoint[0]:
-            self._last_waypoint = (reached, time)
+        if reached > self._last_waypoint[0] or self._touches is not None:
+            self._last_waypoint = (reached, self._last_progress(time))
         rpy = self.read("station.rpy")
         if self._touches is not None:
             self._touches.step(context, self.read("station.cheat.X_WB"))
@@ -67,11 +67,15 @@ class SurveyLog(DiagramReader):
         return None
 
     def _reached(self) -> float:
-        """Rises with every waypoint, or with every leg and look of a survey that finds its own way."""
+        """Waypoints, or legs of a survey that finds its own way."""
         if self._touches is None:
             return float(self.read("tour.waypoints_reached")[0])
+        return float(self.read("loop.survey").legs)
+
+    def _last_progress(self, time: float) -> float:
+        """When a robot that finds its own way last moved under way, or the survey went on to its next phase [s]."""
         state = self.read("loop.survey")
-        return float(state.legs + state.looks + len(state.views) + state.passed + state.closed)
+        return time if state.phase == "held" else float(max(state.since, state.moved[0]))
 
     def _goal_in_words(self) -> str:
         if self._touches is None:
