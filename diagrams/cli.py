@@ -41,7 +41,7 @@ def naraha(
 
 @app.command()
 def survey(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stair_hall",
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stair_hall_loop",
     earlier: Annotated[
         Path | None, typer.Option("--earlier", metavar="DIR", help="A survey to bring up to date.")
     ] = None,
@@ -52,7 +52,7 @@ def survey(
     meshcat: Live = False,
     realtime_rate: Rate = 0.0,
 ) -> None:
-    """Drive a tour through a simulated world, scan, and map it."""
+    """Survey a simulated world and map it: by ways that the robot finds itself, or on a tour such as stair_hall."""
     from .mission import Options
     from .scenario import load_scenario
     from .survey import SurveyScenario

@@ -58,7 +58,8 @@ def survey(out: Path, seed: int, settings: list[str]) -> dict[str, Any]:
     """Runs a survey into `out`, unless it is there, and returns its metrics."""
     metrics = read_metrics(out)
     if metrics is None or metrics["status"] != "done":
-        run = Run(folder=out, seed=seed, values={}, arguments=("survey", *QUICK, "--seed", str(seed), *settings))
+        arguments = ("survey", "stair_hall", *QUICK, "--seed", str(seed), *settings)
+        run = Run(folder=out, seed=seed, values={}, arguments=arguments)
         metrics = run_in_a_process((sys.executable, "-m", "naraha.diagrams"), run)
     return metrics
 

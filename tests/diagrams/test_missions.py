@@ -33,7 +33,8 @@ def metrics_of(folder):
 def short_survey(tmp_path_factory):
     out = tmp_path_factory.mktemp("survey")
     # Without mirror images, which are outside of the walls as long as nobody has looked at the water that shows them.
-    result = naraha("survey", "--out", out, "--seed", 1, "--set", SHORT_TOUR, "--set", "lidar.mirror=false")
+    settings = ["--set", SHORT_TOUR, "--set", "lidar.mirror=false"]
+    result = naraha("survey", "stair_hall", "--out", out, "--seed", 1, *settings)
     return result, out
 
 
@@ -77,7 +78,7 @@ def test_a_resolved_scenario_repeats_the_run_and_another_seed_does_not(short_sur
     assert naraha("survey", short_survey[1] / "scenario.yaml", "--out", tmp_path / "again").returncode == 0
     again = metrics_of(tmp_path / "again")
     assert {k: v for k, v in first.items() if k not in VARYING} == {k: v for k, v in again.items() if k not in VARYING}
-    assert naraha("survey", "--out", tmp_path / "other", "--seed", 2, "--set", SHORT_TOUR).returncode == 0
+    assert naraha("survey", "stair_hall", "--out", tmp_path / "other", "--seed", 2, "--set", SHORT_TOUR).returncode == 0
     assert metrics_of(tmp_path / "other")["trajectory_error_mean_m"] != first["trajectory_error_mean_m"]
 
 
@@ -85,7 +86,8 @@ def test_a_resolved_scenario_repeats_the_run_and_another_seed_does_not(short_sur
 def looked(tmp_path_factory):
     """A survey up to the first look at a pool."""
     out = tmp_path_factory.mktemp("looked")
-    result = naraha("survey", "--out", out, "--set", LOOK_TOUR, "--set", "tour.look_time=8", "--set", "baseline=null")
+    settings = ["--set", LOOK_TOUR, "--set", "tour.look_time=8", "--set", "baseline=null"]
+    result = naraha("survey", "stair_hall", "--out", out, *settings)
     assert result.returncode == 0, result.stderr
     return out
 
@@ -125,7 +127,8 @@ def test_the_recording_has_layers_and_a_legend(looked):
 
 def test_a_later_survey_says_what_has_changed(looked, tmp_path):
     later = ["--set", "world.name=stair_hall_later", "--earlier", looked, "--set", LOOK_TOUR]
-    result = naraha("survey", *later, "--out", tmp_path, "--set", "tour.look_time=3", "--set", "baseline=null")
+    settings = [*later, "--set", "tour.look_time=3", "--set", "baseline=null"]
+    result = naraha("survey", "stair_hall", "--out", tmp_path, *settings)
     assert result.returncode == 0, result.stderr
     metrics = metrics_of(tmp_path)
     assert metrics["update_valid"] == 1
@@ -150,7 +153,7 @@ def test_every_other_shipped_survey_runs(name, tmp_path):
 
 def test_a_stuck_robot_fails_the_mission_but_keeps_what_was_measured(tmp_path):
     wall = "[{xy: [-12.0, -5.0]}]"
-    result = naraha("survey", "--out", tmp_path, "--set", f"tour.waypoints={wall}", "--set", "patience=3")
+    result = naraha("survey", "stair_hall", "--out", tmp_path, "--set", f"tour.waypoints={wall}", "--set", "patience=3")
     assert result.returncode == 1
     metrics = metrics_of(tmp_path)
     assert metrics["status"] == "failed"
@@ -178,7 +181,7 @@ BAD_SURVEYS = {
     "unknown world": (["--set", "world.name=moon"], "unknown world, got 'moon'"),
     "negative period": (["--set", "slam.period=-0.1"], "slam.period: out of range, got -0.1"),
     "zero time step": (["--set", "plant.time_step=0"], "plant.time_step: out of range"),
-    "no waypoint": (["--set", "tour.waypoints=[]"], "tour.waypoints: no waypoints"),
+    "no waypoint": (["stair_hall", "--set", "tour.waypoints=[]"], "tour.waypoints: no waypoints"),
     "no ground at the start": (["--set", "robot.start_xyz=[50, 0, 0.1]"], "no ground below the robot's start"),
     "unknown flipper preset": (["--set", "tour.waypoints=[{xy: [0, 0], flippers: up}]"], "flippers"),
     "negative seed": (["--seed", "-1"], "--seed"),
