@@ -179,7 +179,7 @@ def plan_measuring(
         number, verdict = int(r.placement.chosen.sum()), r.verification
         words = "succeeded" if verdict.ok else f"failed: {verdict.why}"
         line = f"round {len(done)}: at least {r.least}, {number} landmarks, {r.placement.length:.0f} m, "
-        console.print(f"{line}error {verdict.max_error:.2f} m, {words}", markup=False, highlight=False)
+        console.print(f"{line}error {verdict.max_error:.2f} m, {words}", markup=False, highlight=False, soft_wrap=True)
 
     def in_parallel(function: Callable[..., Verification], *sequences: Iterable[Any]) -> Iterable[Verification]:
         with joblib.parallel_config(backend=config.backend, n_jobs=config.jobs):
