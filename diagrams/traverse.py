@@ -33,7 +33,8 @@ from .mission import Mission, Options
 from .recording import RecordingConfig, start_meshcat, write_recording
 from .robot_files import robot_ability, robot_file
 from .scenario import load_scenario
-from .station import StationConfig, make_station
+from .slam import SlamStages, add_matching
+from .station import X_B, StationConfig, make_station
 from .traverse_drawing import draw_traverse
 from .traverse_log import TraverseLog
 from .wiring import connect, export_outputs
@@ -57,6 +58,8 @@ class TraverseScenario(StationConfig):
     # The drive fails when the robot is tilted more than this [rad].
     tip_over_angle: float = quantity(1.2, unit="rad", above=0)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    # Scan matching that corrects the pose; null drives on odometry alone. A tilting LiDAR shows too little at a time.
+    matching: SlamStages | None = None
     local_cloud: LocalCloudConfig = field(default_factory=LocalCloudConfig)
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     # What is remembered of the ground; null drives by the histogram alone, as the paper does.
@@ -107,7 +110,8 @@ def tracking_config(scenario: TraverseScenario, ability: Ability) -> KanayamaCon
 def make_traverse(scenario: TraverseScenario, meshcat: Meshcat | None = None) -> Diagram:
     """Builds the drive: station → odometry → local cloud → features → τ → histogram → controller → tracking → station.
 
-    The pose is the odometry's alone, which begins where the scenario says that the robot stands.
+    The pose is that of the scan matching where there is one, else the odometry's; both begin where the scenario says
+    that the robot stands. The local cloud is always kept on the odometry, which does not jump.
     """
     builder = DiagramBuilder()
     ability = robot_ability(scenario.robot.model, scenario.ability)
@@ -117,6 +121,11 @@ def make_traverse(scenario: TraverseScenario, meshcat: Meshcat | None = None) ->
     builder.AddSystem(station)
     X_WB0 = scenario.robot.X_WB()
     odometry = builder.AddNamedSystem("odometry", Odometry6Dof(scenario.odometry, X_OB0=X_WB0))
+    pose, X_MB = odometry, "X_OB"
+    if scenario.matching is not None:
+        X_BS = X_B(station, "lidar")
+        pose = add_matching(builder, scenario.matching, station, odometry=odometry, X_BS=X_BS, X_MB0=X_WB0)
+        X_MB = "X_MB"
     cloud_config = replace(scenario.local_cloud, base_height=float(X_WB0.translation()[2]))
     local_cloud = builder.AddNamedSystem("local_cloud", LocalCloud(cloud_config))
     terrain = builder.AddNamedSystem("terrain", TerrainFeatures(scenario.terrain))
@@ -136,14 +145,14 @@ def make_traverse(scenario: TraverseScenario, meshcat: Meshcat | None = None) ->
     connect(builder, terrain, "features", histogram)
     connect(builder, fuzzy, "traversability", histogram)
     connect(builder, histogram, "histogram", controller)
-    connect(builder, odometry, "X_OB", controller, "X_MB")
+    connect(builder, pose, X_MB, controller, "X_MB")
     connect(builder, goal, "y0", controller, "goal")
     if scenario.memory is not None:
         memory = builder.AddNamedSystem("memory", RiskMemory(ability, scenario.memory))
         connect(builder, local_cloud, "cloud_H", memory)
-        connect(builder, odometry, "X_OB", memory, "X_MB")
+        connect(builder, pose, X_MB, memory, "X_MB")
         connect(builder, memory, "risk_memory", controller)
-    connect(builder, odometry, "X_OB", tracking, "X_MB")
+    connect(builder, pose, X_MB, tracking, "X_MB")
     connect(builder, controller, "reference_pose", tracking)
     connect(builder, controller, "reference_twist", tracking)
     if tracking.HasInputPort("risk"):
@@ -159,7 +168,7 @@ def write_drive(path: Path, log: TraverseLog) -> None:
     """Writes a line for every decision: time, true and estimated pose, command, risk and status."""
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         table = csv.writer(file)
-        poses = [f"{frame}_{axis}" for frame in ("true", "odometry") for axis in ("x_m", "y_m", "z_m", "heading_rad")]
+        poses = [f"{frame}_{axis}" for frame in ("true", "believed") for axis in ("x_m", "y_m", "z_m", "heading_rad")]
         table.writerow(["time_s", *poses, "v_m_s", "omega_rad_s", "risk", "status"])
         for row in log.rows:
             table.writerow([f"{value:.4f}" if isinstance(value, float) else value for value in row])
@@ -198,7 +207,7 @@ def traverse(scenario: TraverseScenario, options: Options) -> int:
         write_histograms(mission.path("histograms.csv"), log)
 
     def write_trajectories() -> None:
-        for name, file in (("odometry", "trajectory.txt"), ("truth", "truth.txt")):
+        for name, file in ((log.believed, "trajectory.txt"), ("truth", "truth.txt")):
             write_tum(mission.path(file), log.trajectories[name].times, log.trajectories[name].matrices())
 
     def write_html() -> None:

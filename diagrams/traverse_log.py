@@ -31,7 +31,9 @@ class TraverseLog(DiagramReader):
     def __init__(self, scenario: "TraverseScenario", ability: Ability, diagram: Diagram):
         super().__init__(diagram)
         self.scenario = scenario
-        self.trajectories = {"truth": Trajectory(), "odometry": Trajectory()}
+        # The pose that steers: of the scan matching where there is one.
+        self.believed = "odometry" if scenario.matching is None else "slam"
+        self.trajectories = {name: Trajectory() for name in ("truth", "odometry", self.believed)}
         self.rows: list[list[float | str]] = []
         self.histograms: list[tuple[float, RiskHistogram, list[str]]] = []
         self._distance = ObstacleDistance(diagram, station_world(scenario, scenario.seed), ability.footprint)
@@ -44,11 +46,15 @@ class TraverseLog(DiagramReader):
         X_WB, X_OB = self.read("station.cheat.X_WB"), self.read("odometry.X_OB")
         self.trajectories["truth"].append(time, X_WB)
         self.trajectories["odometry"].append(time, X_OB)
+        X_MB = X_OB
+        if self.believed == "slam":
+            X_MB = self.read("slam.X_MB")
+            self.trajectories["slam"].append(time, X_MB)
         self._status = str(self.read("controller.status"))
         self._nearest = min(self._nearest, self._distance.nearest(context, X_WB))
         tilt = float(np.arccos(np.clip(X_WB.rotation().matrix()[2, 2], -1, 1)))
         self._tilt = max(self._tilt, tilt)
-        self.rows.append([time, *_pose(X_WB), *_pose(X_OB), *self._command(), self._status])
+        self.rows.append([time, *_pose(X_WB), *_pose(X_MB), *self._command(), self._status])
         if not self.histograms or time >= self.histograms[-1][0] + 1.0 - 1e-6:
             histogram = self.read("histogram.histogram")
             self.histograms.append((time, histogram, [REASONS[reason] for reason in histogram.reason]))
@@ -89,11 +95,13 @@ class TraverseLog(DiagramReader):
 
     def metrics(self) -> dict[str, float | str | bool]:
         """How the drive went, by the truth."""
-        truth, odometry = self.trajectories["truth"], self.trajectories["odometry"]
+        truth = self.trajectories["truth"]
         heights = truth.positions()[:, 2]
-        mean, largest = trajectory_error(
-            odometry.times, odometry.matrices(), truth.times, truth.matrices(), align="none"
-        )
+        errors: dict[str, float | str | bool] = {}
+        for name in dict.fromkeys(("odometry", self.believed)):
+            found, prefix = self.trajectories[name], "odometry_" if name == "odometry" else ""
+            mean, largest = trajectory_error(found.times, found.matrices(), truth.times, truth.matrices(), align="none")
+            errors |= {f"{prefix}trajectory_error_mean_m": mean, f"{prefix}trajectory_error_max_m": largest}
         return {
             "reached": self.reached,
             "time_s": truth.times[-1],
@@ -106,9 +114,7 @@ class TraverseLog(DiagramReader):
             "distance_to_goal_m": self.distance_to_goal,
             "final_status": self._status,
             "mean_speed_m_s": truth.length() / max(truth.times[-1], 1e-9),
-            "odometry_trajectory_error_mean_m": mean,
-            "odometry_trajectory_error_max_m": largest,
-        }
+        } | errors
 
     def _command(self) -> list[float]:
         v, omega = self.read("tracking.twist_command")
