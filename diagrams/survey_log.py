@@ -73,7 +73,12 @@ class SurveyLog(DiagramReader):
         return float(self.read("loop.survey").legs)
 
     def _last_progress(self, time: float) -> float:
-        """When a robot that finds its own way last moved under way, or the survey went on to its next phase [s]."""
+        """When a robot that finds its own way last moved under way, or the survey went on to its next phase [s].
+
+        On a tour it is now, for this is asked when a waypoint was reached.
+        """
+        if self._touches is None:
+            return time
         state = self.read("loop.survey")
         return time if state.phase == "held" else float(max(state.since, state.moved[0]))
 

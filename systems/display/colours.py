@@ -130,8 +130,11 @@ def _bytes(rgb: np.ndarray) -> np.ndarray:
 def _even_ticks(low: float, high: float, most: int) -> list[float]:
     rough = (high - low) / (most - 1)
     decade = 10.0 ** math.floor(math.log10(rough))
-    step = next(s * decade for s in (1.0, 2.0, 5.0, 10.0) if s * decade >= rough * (1 - 1e-9))
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    # The finest steps that are few enough: a step as long as the range may have no multiple in it.
+    for step in (0.5 * decade, decade, 2 * decade, 5 * decade, 10 * decade):
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        if last - first < most:
+            break
     return [round(i * step, 12) for i in range(first, last + 1)]
 
 

@@ -3,6 +3,7 @@ from dataclasses import dataclass, field
 import pytest
 from naraha.diagrams.calibrate import CalibrateScenario
 from naraha.diagrams.extrinsics import ExtrinsicsScenario
+from naraha.diagrams.illuminate import IlluminateScenario
 from naraha.diagrams.learn import LearnScenario
 from naraha.diagrams.mapping import MapScenario
 from naraha.diagrams.merging import MergeScenario
@@ -92,6 +93,9 @@ SCHEMAS = {
     "real_like": TraverseScenario,
     "learn": LearnScenario,
     "stuck": RecoverScenario,
+    "construction_hall": IlluminateScenario,
+    "construction_hall_paper": IlluminateScenario,
+    "construction_hall_unplanned": IlluminateScenario,
 }
 
 

@@ -87,6 +87,7 @@ def test_ticks_are_round_numbers():
     assert [text for _, text in colours.TEMPERATURE.ticks()] == ["20", "40", "60", "80"]
     assert [text for _, text in colours.HEIGHT.ticks(5)] == ["0", "0.5", "1", "1.5", "2"]
     assert [text for _, text in colours.DOSE_RATE.ticks()] == ["0.1", "1", "10", "100"]
+    assert [text for _, text in scale(1, 4002).ticks(3)] == ["2000", "4000"]
     assert [text for _, text in scale(2, 8, log=True).ticks()] == ["2", "4", "6", "8"]
     assert len(scale(1e-9, 1e9, log=True).ticks(5)) <= 5
 
