@@ -102,7 +102,7 @@ class TraverseLog(DiagramReader):
             found, prefix = self.trajectories[name], "odometry_" if name == "odometry" else ""
             mean, largest = trajectory_error(found.times, found.matrices(), truth.times, truth.matrices(), align="none")
             errors |= {f"{prefix}trajectory_error_mean_m": mean, f"{prefix}trajectory_error_max_m": largest}
-        return {
+        drive: dict[str, float | str | bool] = {
             "reached": self.reached,
             "time_s": truth.times[-1],
             "over_ramps": bool(heights.max() > heights[0] + _RAISED),
@@ -114,7 +114,8 @@ class TraverseLog(DiagramReader):
             "distance_to_goal_m": self.distance_to_goal,
             "final_status": self._status,
             "mean_speed_m_s": truth.length() / max(truth.times[-1], 1e-9),
-        } | errors
+        }
+        return drive | errors
 
     def _command(self) -> list[float]:
         v, omega = self.read("tracking.twist_command")
