@@ -114,18 +114,23 @@ def surface_points(world: World, seed: int) -> np.ndarray:
     return np.column_stack([start[:, :2], z])[np.isfinite(z)].astype(np.float32)
 
 
+def drives_bar(options: Options) -> Progress:
+    """What is driven now, on a terminal."""
+    return Progress(
+        TextColumn("[bold]calibrate[/] {task.description}"),
+        console=options.console,
+        transient=True,
+        disable=not options.console.is_terminal,
+    )
+
+
 def calibrate(scenario: CalibrateScenario, options: Options) -> int:
     """Runs the mission, writes `ability.yaml` and `trials.csv`, and returns the exit code."""
     mission = Mission("calibrate", scenario, options)
     intervals: dict[str, Interval] = {}
     rows: list[list[object]] = []
     ending = Ending("done", "every kind of ground was tried")
-    bar = Progress(
-        TextColumn("[bold]calibrate[/] {task.description}"),
-        console=options.console,
-        transient=True,
-        disable=not options.console.is_terminal,
-    )
+    bar = drives_bar(options)
     with mission.timed(), bar, stop_flag() as stopped:
         task = bar.add_task("")
         try:

@@ -4,9 +4,8 @@ import csv
 
 from naraha.systems.files import replacing
 from naraha.systems.routes import Ground, Primitives, write_primitives
-from rich.progress import Progress, TextColumn
 
-from .calibrate import CalibrateScenario
+from .calibrate import CalibrateScenario, drives_bar
 from .mission import Ending, Mission, Options, stop_flag
 from .primitive_trials import measure, sites
 
@@ -19,12 +18,7 @@ def calibrate_primitives(scenario: CalibrateScenario, options: Options) -> int:
     grounds: dict[str, Ground] = {}
     rows: list[list[object]] = []
     ending = Ending("done", "every motion was tried on every kind of ground")
-    bar = Progress(
-        TextColumn("[bold]calibrate[/] {task.description}"),
-        console=options.console,
-        transient=True,
-        disable=not options.console.is_terminal,
-    )
+    bar = drives_bar(options)
     with mission.timed(), bar, stop_flag() as stopped:
         task = bar.add_task("")
 

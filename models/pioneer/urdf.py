@@ -26,16 +26,15 @@ from xml.etree import ElementTree
 
 from naraha.systems.config import check_config, quantity
 
+from ..drive_wheel import add_drive_wheel
 from ..urdf_xml import (
     Colour,
-    add_actuator,
     add_collision,
     add_joint,
     add_link,
     add_visual,
     box,
     cylinder,
-    numbers,
     sphere,
     urdf_text,
 )
@@ -137,17 +136,19 @@ def _add_base(robot: ElementTree.Element, shape: PioneerShape) -> None:
 
 
 def _add_wheel(robot: ElementTree.Element, shape: PioneerShape, name: str, y: float) -> None:
-    r, width = shape.wheel_radius, shape.wheel_width
-    wheel = add_link(robot, name, shape.wheel_mass, (2 * r, width, 2 * r))
-    add_collision(wheel, shape.tyre_friction, (0, 0, 0), sphere(r))
-    across = (math.pi / 2, 0.0, 0.0)
-    add_visual(wheel, _RUBBER, (0, 0, 0), cylinder(r, width - 0.004), across)
-    add_visual(wheel, _STEEL, (0, 0, 0), cylinder(0.5 * r, width), across)
-    add_visual(wheel, _RED, (0, 0, 0), box(0.9 * r, width + 0.002, 0.12 * r))  # so that one sees it turn
-    joint = add_joint(robot, f"{name}_joint", "continuous", name, (0, y, 0))
-    ElementTree.SubElement(joint, "axis", xyz=numbers(0, 1, 0))
-    ElementTree.SubElement(joint, "limit", effort=f"{shape.wheel_effort:g}")
-    add_actuator(robot, name, p=shape.wheel_p, d=shape.wheel_d)
+    add_drive_wheel(
+        robot,
+        name,
+        y,
+        radius=shape.wheel_radius,
+        width=shape.wheel_width,
+        mass=shape.wheel_mass,
+        friction=shape.tyre_friction,
+        effort=shape.wheel_effort,
+        p=shape.wheel_p,
+        d=shape.wheel_d,
+        colours=(_RUBBER, _STEEL, _RED),
+    )
 
 
 if __name__ == "__main__":
