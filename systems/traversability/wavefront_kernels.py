@@ -14,21 +14,20 @@ _DIAGONAL = math.sqrt(2.0)
 def obstacle_distance(obstacle: np.ndarray, most: float) -> np.ndarray:
     """Distance of every cell to the nearest obstacle's cell [cells], (nx, ny) float32; `most` where it is farther."""
     nx, ny = obstacle.shape
-    distance = np.full((nx, ny), most, np.float32)
+    square = np.full((nx, ny), most * most)
     reach = math.ceil(most)
     for i in range(nx):
         for j in range(ny):
             if not obstacle[i, j]:
                 continue
-            distance[i, j] = 0.0
+            square[i, j] = 0.0
             inner = 0 < i < nx - 1 and 0 < j < ny - 1
             if inner and obstacle[i - 1, j] and obstacle[i + 1, j] and obstacle[i, j - 1] and obstacle[i, j + 1]:
                 continue
             for p in range(max(i - reach, 0), min(i + reach + 1, nx)):
                 for q in range(max(j - reach, 0), min(j + reach + 1, ny)):
-                    d = math.sqrt(float((p - i) * (p - i) + (q - j) * (q - j)))
-                    distance[p, q] = min(distance[p, q], d)
-    return distance
+                    square[p, q] = min(square[p, q], float((p - i) * (p - i) + (q - j) * (q - j)))
+    return np.sqrt(square).astype(np.float32)
 
 
 @njit(cache=True)
@@ -75,13 +74,17 @@ def costs_to_goal(price: np.ndarray, seeds: np.ndarray, start: np.ndarray) -> np
         seeds: (n,) flat indices. start: (n,) their costs, not negative.
     """
     nx, ny = price.shape
-    cost = np.full(nx * ny, np.inf, np.float32)
-    done = np.zeros(nx * ny, np.bool_)
+    # A border of blocked cells around the grid: no neighbour needs to be asked whether it is on it.
+    row = ny + 2
+    priced = np.full((nx + 2) * row, np.inf, np.float32)
     dearest = 1.0
     for i in range(nx):
         for j in range(ny):
+            priced[(i + 1) * row + j + 1] = price[i, j]
             if np.isfinite(price[i, j]):
                 dearest = max(dearest, price[i, j])
+    cost = np.full((nx + 2) * row, np.inf, np.float32)
+    done = np.zeros((nx + 2) * row, np.bool_)
     spread = start.max() - start.min() if len(start) else 0.0
     buckets = int(max(_DIAGONAL * dearest, spread)) + 3
     head = np.full(buckets, -1, np.int32)
@@ -90,10 +93,11 @@ def costs_to_goal(price: np.ndarray, seeds: np.ndarray, start: np.ndarray) -> np
     follower = np.empty(8 * nx * ny + len(seeds), np.int32)
     used, waiting, level = 0, 0, 0
     for s in range(len(seeds)):
-        if np.isfinite(price[seeds[s] // ny, seeds[s] % ny]) and start[s] < cost[seeds[s]]:
-            cost[seeds[s]] = start[s]
-            b = int(cost[seeds[s]]) % buckets
-            node[used], follower[used], head[b] = seeds[s], head[b], used
+        c = (seeds[s] // ny + 1) * row + seeds[s] % ny + 1
+        if priced[c] < np.inf and start[s] < cost[c]:
+            cost[c] = start[s]
+            b = int(cost[c]) % buckets
+            node[used], follower[used], head[b] = c, head[b], used
             used += 1
             waiting += 1
     if len(start):
@@ -108,13 +112,14 @@ def costs_to_goal(price: np.ndarray, seeds: np.ndarray, start: np.ndarray) -> np
             if done[c]:
                 continue
             done[c] = True
-            i, j = c // ny, c % ny
             for n in range(8):
-                p, q = i + _DI[n], j + _DJ[n]
-                if p < 0 or q < 0 or p >= nx or q >= ny or done[p * ny + q]:
+                down, right = _DI[n] * row, _DJ[n]
+                # Not past the corner of a blocked cell; `_edge` says the same of cells that may be off the grid.
+                if n >= 4 and not (priced[c + down] < np.inf and priced[c + right] < np.inf):
                     continue
-                d = p * ny + q
-                total = np.float32(cost[c] + _edge(price, i, j, n))
+                d = c + down + right
+                mean = 0.5 * (priced[c] + priced[d])
+                total = np.float32(cost[c] + (mean if n < 4 else _DIAGONAL * mean))
                 if total < cost[d]:
                     cost[d] = total
                     b = int(total) % buckets
@@ -122,7 +127,7 @@ def costs_to_goal(price: np.ndarray, seeds: np.ndarray, start: np.ndarray) -> np
                     used += 1
                     waiting += 1
         level += 1
-    return cost.reshape(nx, ny)
+    return cost.reshape(nx + 2, row)[1:-1, 1:-1].copy()
 
 
 @njit(cache=True)
