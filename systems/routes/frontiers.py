@@ -42,6 +42,8 @@ class FrontierConfig:
     beyond: float = quantity(2.5, unit="m", low=0)
     # [m] Distance of the places that are compared.
     spacing: float = quantity(0.5, unit="m", above=0)
+    # [m] Clearance of the places to look from, where the robot turns on the spot.
+    room: float = quantity(0.0, unit="m", low=0)
     # [m/s], [rad/s], [s] Speeds on the way, and what one look takes.
     speed: float = quantity(0.3, unit="m/s", above=0)
     turn_rate: float = quantity(0.5, unit="rad/s", above=0)
@@ -156,7 +158,7 @@ def find_goals(
     step = max(round(config.spacing / grid.cell), 1)
     every = np.zeros(grid.shape, bool)
     every[start[0] % step :: step, start[1] % step :: step] = True
-    places = np.argwhere(every & ~grid.blocked & np.isfinite(way))
+    places = np.argwhere(every & ~grid.blocked & np.isfinite(way) & (grid.clearance >= config.room))
     if not len(places):
         return ()
     near, reach = config.near_range / grid.cell, config.view_range / grid.cell

@@ -5,23 +5,30 @@ from open3d.t.geometry import PointCloud
 from scipy.special import entr
 
 from ..hazards.water import cloud_attribute, cloud_points
+from .gaps import close_gaps
 from .route_grid import RouteGrid
 
 
 def make_interest(
-    cloud: PointCloud, grid: RouteGrid, *, prior: float = 0.1, height: float = 0.15, suspicion: float = 5.0
+    cloud: PointCloud,
+    grid: RouteGrid,
+    *,
+    prior: float = 0.1,
+    height: float = 0.15,
+    suspicion: float = 5.0,
+    max_gap: float = 0.4,
 ) -> np.ndarray:
     """What a look at each cell of `grid` would tell [bit], (nx, ny) float32.
 
     Where there is ground it is the entropy of whether it is water, H(p) = −p log₂ p − (1 − p) log₂ (1 − p): near 0
     where near-infrared has seen dry ground or water, some 0.2 where only LiDAR shots speak for dry ground. Where they
     speak for water and no camera has looked, a look counts `suspicion` times: what hides there is small and closes
-    ways. Unknown ground is worth 1.
+    ways. So it does in the gaps between such cells, for water sends few shots back. Unknown ground is worth 1.
 
     Args:
         cloud: semantic map in M, with `water_probability` and `nir` if known.
         prior: of water, where neither LiDAR nor camera has told anything.
-        height: points this near to the ground of a cell are ground [m].
+        height: points this near to the ground of a cell are ground [m]. max_gap: widest gap that is closed [m].
     """
     interest = np.ones(grid.shape, np.float32)
     interest[np.isfinite(grid.height)] = entropy(np.array([prior]))[0]
@@ -33,10 +40,18 @@ def make_interest(
     cells = tuple(grid.index_of(points[:, :2]).T) if len(points) else (np.zeros(0, int), np.zeros(0, int))
     with np.errstate(invalid="ignore"):
         ground = np.abs(points[:, 2] - grid.height[cells]) < height
-    worth = entropy(water) * np.where(~looked & (water > 2 * prior), suspicion, 1.0)
+    suspicious = ~looked & (water > 2 * prior)
+    worth = entropy(water) * np.where(suspicious, suspicion, 1.0)
     told = np.full(grid.shape, -np.inf)
     np.maximum.at(told, (cells[0][ground], cells[1][ground]), worth[ground])
-    return np.where(np.isfinite(told), told, interest).astype(np.float32)
+    told = np.where(np.isfinite(told), told, interest)
+    doubted, answered = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
+    for mask, which in ((doubted, suspicious), (answered, looked)):
+        mask[cells[0][ground & which], cells[1][ground & which]] = True
+    between = close_gaps(doubted, max_gap, grid.cell) & ~doubted & ~answered
+    if between.any():
+        told[between] = np.maximum(told[between], told[doubted].mean())
+    return told.astype(np.float32)
 
 
 def entropy(p: np.ndarray) -> np.ndarray:

@@ -1,11 +1,11 @@
 """From a semantic map to the grid that routes are planned on (S0-h)."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from open3d.t.geometry import PointCloud
 from scipy.ndimage import (
-    binary_closing,
     binary_dilation,
     binary_fill_holes,
     binary_opening,
@@ -18,10 +18,13 @@ from ..errors import InputError
 from ..hazards.classes import HEAT
 from ..hazards.classes import WATER as WATER_POINT
 from ..traversability import IMPASSABLE, Ability, Mamdani, RiskMap, make_risk_map
+from .gaps import close_gaps
 from .route_grid import DOSE, FENCE, FREE, HOT, OCCUPIED, UNKNOWN, WATER, RouteGrid
 from .world_config import VoxelWorldConfig
 
 FLAT, SLOPE, STEPS, ROUGH = range(4)
+# [m] Between places farther apart it is not known how the robot has come.
+_LEAP = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +66,13 @@ def make_route_grid(
     limit, so that a stair is a way for a robot that climbs it. Without, the floor is flat as in the paper and what
     rises above `step` is an obstacle. Water, hot surfaces and dose rates close cells as well. Obstacles and hazards
     grow by the robot; a cell that they close has the kind of the nearest of them. Cells beside unseen ground are a
-    fence. What is unknown all around is cut off.
+    fence. What is unknown all around is cut off. Where the robot has come through itself it comes through again: there
+    obstacles grow by no more than half its width.
 
     Args:
         risk: as of `make_risk_map` for these points and this ability, when it is there already.
-        stood: (K, 2) x, y in M [m] where the robot stood: unseen ground around is taken for ground.
+        stood: (K, 2) x, y in M [m] where the robot stood, one place after the other: unseen ground around is taken for
+            ground, and the ways between them are those it has come.
 
     Raises:
         ConfigError: a value of `config` is out of range.
@@ -83,17 +88,15 @@ def make_route_grid(
     robot = ability or Ability()
     seen, stepped, straight = _judged(risk, ability, config)
     over = straight >= robot.risk_limit
-    # The window around a cell beside a wall sees the wall; the wall itself keeps the robot off.
-    reach = 0.5 * config.risk.window + risk.cell
-    walled = distance_transform_edt(~stepped) * risk.cell <= reach if stepped.any() else stepped
-    solid = np.where(stepped | (over & ~walled & seen), OCCUPIED, FREE).astype(np.uint8)
+    solid = np.where(stepped | (over & seen), OCCUPIED, FREE).astype(np.uint8)
     hazard, rate = _hazards(points, risk, config)
     solid = np.where(hazard != FREE, hazard, solid)
-    known = seen | stepped | (over & walled)
+    known = seen | stepped
     ground = known | _bridged(known, solid, risk, config, stood)
     steep = np.nan_to_num(risk.slope, nan=0.0) > config.steep
     slopes = _near_slopes(steep, seen & ~over & ~stepped, risk.cell, config)
-    kind = _grown(solid, ground, slopes, robot.footprint, risk.cell, config)
+    trail = _trail(risk, stood)
+    kind = _grown(solid, ground, slopes, trail, robot.footprint, risk.cell, config)
     flat_risk = robot_risk(robot)
     scaled = np.clip((np.nan_to_num(straight, nan=flat_risk) - flat_risk) / (robot.risk_limit - flat_risk), 0, 1)
     cost = 1 + config.risk_weight * scaled + config.dose_weight * np.clip(rate / config.max_dose_rate, 0, 1)
@@ -174,7 +177,7 @@ def _hazards(points: MapPoints, risk: RiskMap, config: VoxelWorldConfig) -> tupl
         mask = np.zeros(shape, bool)
         mask[i[found], j[found]] = True
         if kind == WATER:  # a puddle sends few rays back: its middle may not have been seen
-            mask = binary_fill_holes(_closed(mask, 0.5 * config.max_gap, risk.cell))
+            mask = binary_fill_holes(close_gaps(mask, config.max_gap, risk.cell))
         hazard[mask] = kind
     return hazard, rate
 
@@ -184,11 +187,27 @@ def _bridged(
 ) -> np.ndarray:
     """Cells that were not seen and are taken for ground all the same."""
     open_ground = known & (solid == FREE)
-    bridged = _closed(open_ground, 0.5 * config.max_gap, risk.cell)
+    bridged = close_gaps(open_ground, config.max_gap, risk.cell)
     for place in np.zeros((0, 2)) if stood is None else np.asarray(stood, float).reshape(-1, 2):
         x, y = (risk.origin[axis] + (np.arange(known.shape[axis]) + 0.5) * risk.cell for axis in range(2))
         bridged |= (x[:, None] - place[0]) ** 2 + (y - place[1]) ** 2 <= config.blind_radius**2
     return bridged & ~known
+
+
+def _trail(risk: RiskMap, stood: np.ndarray | None) -> np.ndarray:
+    """Cells on the straight lines between places where the robot stood one after the other, (nx, ny) bool."""
+    trail = np.zeros(risk.risk.shape, bool)
+    places = np.zeros((0, 2)) if stood is None else np.asarray(stood, float).reshape(-1, 2)
+    for here, there in pairwise(places):
+        length = float(np.hypot(*(there - here)))
+        if length > _LEAP:
+            continue
+        share = np.linspace(0, 1, int(np.ceil(2 * length / risk.cell)) + 1)[:, None]
+        index = np.floor((here + share * (there - here) - risk.origin) / risk.cell).astype(int)
+        inside = ((index >= 0) & (index < trail.shape)).all(axis=1)
+        trail[tuple(index[inside].T)] = True
+    # Ways over cells go round no corner.
+    return np.asarray(binary_dilation(trail, np.ones((3, 3))))
 
 
 def _near_slopes(steep: np.ndarray, passable: np.ndarray, cell: float, config: VoxelWorldConfig) -> np.ndarray:
@@ -206,19 +225,11 @@ def _near_slopes(steep: np.ndarray, passable: np.ndarray, cell: float, config: V
     return np.asarray(binary_dilation(slopes, np.ones((3, 3)), iterations=reach, mask=passable))
 
 
-def _closed(mask: np.ndarray, radius: float, cell: float) -> np.ndarray:
-    reach = int(np.ceil(radius / cell - 1e-9))
-    if reach == 0 or not mask.any():
-        return mask
-    span = np.arange(-reach, reach + 1)
-    disc = span[:, None] ** 2 + span**2 <= (radius / cell + 0.5) ** 2
-    return np.asarray(binary_closing(np.pad(mask, reach), disc)[reach:-reach, reach:-reach])
-
-
 def _grown(
     solid: np.ndarray,
     ground: np.ndarray,
     slopes: np.ndarray,
+    trail: np.ndarray,
     footprint: list[float],
     cell: float,
     config: VoxelWorldConfig,
@@ -230,10 +241,10 @@ def _grown(
     kind = np.where(ground | (solid != FREE), solid, UNKNOWN).astype(np.uint8)
     unseen = np.pad(kind == UNKNOWN, 1, constant_values=True)
     away = distance_transform_edt(~unseen)[1:-1, 1:-1] * cell
-    kind[(kind == FREE) & (away <= max(config.unknown_growth, cell))] = FENCE
+    kind[(kind == FREE) & ~trail & (away <= max(config.unknown_growth, cell))] = FENCE
     grows = np.isin(solid, (OCCUPIED, WATER, HOT))
     if grows.any():
         away, nearest = distance_transform_edt(~grows, return_indices=True)
-        inside = away * cell <= np.where(slopes, narrow, growth)
+        inside = away * cell <= np.where(trail, 0.5 * width, np.where(slopes, narrow, growth))
         kind = np.where(inside & np.isin(kind, (FREE, FENCE)), solid[tuple(nearest)], kind)
     return kind

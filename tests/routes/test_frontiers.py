@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from naraha.systems.errors import ConfigError, InputError
@@ -51,6 +53,16 @@ def test_what_cannot_be_reached_is_no_goal():
     kind = hall()
     kind[40, :] = OCCUPIED
     assert all(goal.view.x < 4.0 for goal in goals_in(kind))
+
+
+def test_places_to_look_from_leave_the_robot_room_to_turn():
+    kind = hall()
+    kind[30, :22] = kind[30, 28:] = OCCUPIED
+    grid = RouteGrid.from_kind(kind, 0.1)
+    goals = goals_in(kind, pose=(1.0, 2.5, 0.0), config=replace(CONFIG, room=0.4))
+    room = [grid.clearance[tuple(grid.index_of(np.array([goal.view.x, goal.view.y])))] for goal in goals]
+    assert min(room) >= 0.4
+    assert max(goal.view.x for goal in goals) > 3.5
 
 
 def test_a_look_that_was_taken_is_not_proposed_again():

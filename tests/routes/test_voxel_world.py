@@ -158,6 +158,24 @@ def test_ground_below_the_sensors_is_taken_for_ground_only_where_the_robot_stood
     assert kind_at(make_route_grid(cloud, stood=np.zeros((1, 2))), 0.0, 0.0) == FREE
 
 
+def gap_in_a_wall(width, *more):
+    wall = [patch(-0.1, 0.1, a, b, z) for a, b in ((-2, -width / 2), (width / 2, 2)) for z in np.arange(0.1, 1.0, 0.1)]
+    return cloud_of(np.vstack([patch(-3, 3, -2, 2), *wall, *more]))
+
+
+def test_where_the_robot_has_come_through_it_comes_through_again():
+    start, goal, through = np.array([-2.0, 0, 0]), np.array([2.0, 0]), np.array([[-1, 0], [0, 0], [1, 0]])
+    narrow = gap_in_a_wall(0.9)
+    assert find_routes(make_route_grid(narrow), start, goal) == ()
+    assert find_routes(make_route_grid(narrow, stood=through[[0, 0, 0]]), start, goal) == ()
+    (route,) = find_routes(make_route_grid(narrow, stood=through), start, goal)
+    assert np.abs(route.xy[np.abs(route.xy[:, 0]) < 0.5, 1]).max() < 0.2
+    # Not where it is not known how it has come, and not where something now stands in it.
+    assert find_routes(make_route_grid(narrow, stood=2.2 * through), start, goal) == ()
+    fallen = gap_in_a_wall(0.9, patch(-0.1, 0.1, -0.1, 0.1, 0.3))
+    assert find_routes(make_route_grid(fallen, stood=through), start, goal) == ()
+
+
 def test_stray_points_far_away_do_not_make_the_grid_large():
     floor = patch(-3, 3, -2, 2)
     stray = np.array([[60.0, 40.0, -3.0]])
