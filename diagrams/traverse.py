@@ -158,6 +158,7 @@ def make_traverse(scenario: TraverseScenario, meshcat: Meshcat | None = None) ->
     if tracking.HasInputPort("risk"):
         connect(builder, controller, "risk", tracking)
     connect(builder, tracking, "twist_command", station)
+    connect(builder, tracking, "twist_command", controller)
     export_outputs(builder)
     diagram = builder.Build()
     diagram.set_name("traverse")

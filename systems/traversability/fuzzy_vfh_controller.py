@@ -45,6 +45,7 @@ class FuzzyVfhController(LeafSystem):
         - X_MB
         - goal
         - risk_memory
+        - twist_command
         output_ports:
         - reference_pose
         - reference_twist
@@ -66,6 +67,8 @@ class FuzzyVfhController(LeafSystem):
     - `goal` (2): x, y in M [m].
     - `risk_memory` (`RiskGrid`), optional: may be left unconnected. Then it heads for the goal, cannot leave dead ends,
       and "no way" means only that no candidate came up in a full turn.
+    - `twist_command` (2), optional: v, omega that the drive is told [m/s, rad/s]. With it the robot notices when an
+      edge too low for its LiDAR holds one side back and turns it, marks that, and backs up.
     - `reference_pose` (3): the sub-goal x, y, heading in M [m, m, rad]; the robot's own pose when it does not drive.
     - `reference_twist` (2): v_r [m/s], omega_r [rad/s].
     - `risk` (1): r of the rectangle or ground that was chosen, raised near what is impassable, see `nearness`; 0 when
@@ -87,6 +90,7 @@ class FuzzyVfhController(LeafSystem):
         self.DeclareAbstractInputPort("X_MB", AbstractValue.Make(RigidTransform()))
         self.DeclareVectorInputPort("goal", 2)
         self.DeclareAbstractInputPort("risk_memory", AbstractValue.Make(object()))
+        self.DeclareVectorInputPort("twist_command", 2)
         state = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(_Held())))
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._config.period, 0.0, self._Decide)
         pose = self.input_port_ticket(self.GetInputPort("X_MB").get_index())
@@ -124,7 +128,10 @@ class FuzzyVfhController(LeafSystem):
                 way = find_way(field, pose[:2])
             reach = 0.5 * math.hypot(*self._ability.footprint) + max(0.3, config.beside)
             obstacles = obstacles_near(grid, pose, reach)
-        sight = Sight(context.get_time(), pose, goal.copy(), histogram, field, index, way, obstacles)
+        yaw_rate = np.nan
+        if self.GetInputPort("twist_command").HasValue(context):
+            yaw_rate = float(eval_typed(self, context, "twist_command", np.ndarray)[1])
+        sight = Sight(context.get_time(), pose, goal.copy(), histogram, field, index, way, obstacles, yaw_rate)
         after, command = decide(held.state, sight, self._ability, config)
         state.get_mutable_abstract_state(0).set_value(_Held(after, command, field, key))
         return EventStatus.Succeeded()

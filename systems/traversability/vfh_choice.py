@@ -9,6 +9,8 @@ from .vfh_state import Sight, VfhConfig
 
 # [m] Over which remembered ground is asked about the beginning of a direction.
 _VETO = (0.15, 0.7)
+# [m] An obstacle's cell within so much of the robot's edge may be one that it only touches.
+_RIM = 0.1
 
 
 def wrapped(angle: float) -> float:
@@ -76,9 +78,12 @@ def room_to_turn(obstacles: np.ndarray, footprint: list[float], turn: float) -> 
 
 
 def room_behind(obstacles: np.ndarray, footprint: list[float], distance: float = 0.15) -> bool:
-    """Whether the strip of `distance` [m] behind the rectangle is free of obstacles (n, 2) in its frame."""
+    """Whether the strip of `distance` [m] behind the rectangle is free of obstacles (n, 2) in its frame.
+
+    What is farther in than `_RIM` does not count: the robot stands on that already, and may hang there."""
     x, y = obstacles.T
-    return not ((np.abs(y) < 0.5 * footprint[1]) & (x < 0) & (x > -0.5 * footprint[0] - distance)).any()
+    behind = (x < min(_RIM - 0.5 * footprint[0], 0)) & (x > -0.5 * footprint[0] - distance)
+    return not ((np.abs(y) < 0.5 * footprint[1]) & behind).any()
 
 
 def nearness(obstacles: np.ndarray, direction: float, footprint: list[float], beside: float) -> float:

@@ -46,6 +46,8 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
         return state, Command(v_r=-config.back_speed)
     if _stuck(state, sight, config):
         return _free(state, sight, ability, config)
+    if abs(state.astray) > np.deg2rad(config.caught_turn_deg):
+        return _let_go(state, sight, ability, config)
     if state.status == NO_WAY and state.again < config.confirmations:
         return _rest(state, sight)
     if state.without > 1 or (sight.way is None and state.without > 0):
@@ -72,7 +74,8 @@ def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
     """The state with what moved since the last decision."""
     x, y, heading = (float(value) for value in sight.pose)
     if np.isfinite(state.heading):
-        state = replace(state, turned=state.turned + abs(wrapped(heading - state.heading)))
+        turn = wrapped(heading - state.heading)
+        state = replace(state, turned=state.turned + abs(turn), astray=_astray(state, turn, sight.yaw_rate, config))
     there = np.hypot(x - state.held[0], y - state.held[1]) < _THERE
     if there or not np.hypot(x - state.spot[0], y - state.spot[1]) < _AWAY:
         state = replace(state, turned=0.0, spot=(x, y), held=_NOWHERE)
@@ -88,6 +91,16 @@ def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
     return replace(state, heading=heading, index=sight.index)
 
 
+def _astray(state: VfhState, turn: float, yaw_rate: float, config: VfhConfig) -> float:
+    """How far it turned of late [rad] beyond what the drive was told to, or to the other side; a drive that turns less
+    only slips. Positive to the left."""
+    if state.status != DRIVING or not np.isfinite(yaw_rate):
+        return 0.0
+    told = yaw_rate * config.period
+    beyond = turn - float(np.clip(turn, min(told, 0.0), max(told, 0.0)))
+    return state.astray * float(np.exp(-config.period / config.caught_time)) + beyond
+
+
 def _stuck(state: VfhState, sight: Sight, config: VfhConfig) -> bool:
     """Whether it was told to move for long, and did not."""
     return sight.time - state.anchor[3] > config.stuck_time
@@ -100,6 +113,17 @@ def _free(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) ->
         state = _mark(state, sight, state.aim, 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
     state = replace(state, anchor=anchor, side=-state.side, aim=np.nan)
     if state.status in (DRIVING, TURNING) and room_behind(sight.obstacles, ability.footprint):
+        return _back_up(state, sight, config.back_distance, config)
+    return state, Command()
+
+
+def _let_go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
+    """Something holds one side back and turns the robot: that side's front is marked, and the robot backs up."""
+    side, (length, width) = float(np.sign(state.astray)), ability.footprint
+    at = complex(0.25 * length, 0.5 * side * width)
+    state = _mark(state, sight, sight.pose[2] + float(np.angle(at)), abs(at), ability, ALWAYS)
+    state = replace(state, astray=0.0, aim=np.nan, anchor=(*state.anchor[:3], sight.time))
+    if room_behind(sight.obstacles, ability.footprint):
         return _back_up(state, sight, config.back_distance, config)
     return state, Command()
 

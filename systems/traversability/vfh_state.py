@@ -51,6 +51,10 @@ class VfhConfig:
     stuck_time: float = quantity(4.0, unit="s", above=0)
     stuck_distance: float = quantity(0.08, unit="m", above=0)
     stuck_turn_deg: float = quantity(6.0, unit="deg", above=0)
+    # [deg], [s] Caught at an edge that the LiDAR does not show is who, driving, turned so much farther than it was told
+    # to, or the other way; what was longer ago counts less and less.
+    caught_turn_deg: float = quantity(20.0, unit="deg", above=0)
+    caught_time: float = quantity(1.0, unit="s", above=0)
     # [s] How long the histogram may refuse what is remembered as passable, before it is marked impassable.
     patience: float = quantity(1.5, unit="s", above=0)
     # [m], [-] From here on what is impassable beside the way or ahead raises the risk, up to this share of the limit
@@ -75,6 +79,7 @@ class Sight:
         index: of the memory; counts decisions without one.
         way: (2,) point in M to steer for, None when there is no way.
         obstacles: (n, 2) in the robot's heading frame [m], impassable cells within reach of its corners.
+        yaw_rate: that the drive is told to turn at [rad/s], NaN where it is not known.
     """
 
     time: float
@@ -85,6 +90,7 @@ class Sight:
     index: int
     way: np.ndarray | None
     obstacles: np.ndarray
+    yaw_rate: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,7 @@ class VfhState:
         spot: (x, y) in M where it began to turn [m].
         held: (x, y) in M that it keeps to after it turned to and fro on one spot [m], NaN when it does not.
         heading: at the last decision [rad].
+        astray: how far it turned of late without being told to, while it drove [rad].
         anchor: (x, y, heading, time) from where it is watched whether the robot moves.
         back_from: (x, y, time) where it began to back up. back_to: how far it is to do so [m].
         backed: it has backed up for room already since it last drove.
@@ -117,6 +124,7 @@ class VfhState:
     spot: tuple[float, float] = (np.nan, np.nan)
     held: tuple[float, float] = (np.nan, np.nan)
     heading: float = np.nan
+    astray: float = 0.0
     anchor: tuple[float, float, float, float] = (np.nan, np.nan, np.nan, np.nan)
     back_from: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     back_to: float = 0.0

@@ -119,6 +119,11 @@ def test_room_behind_is_the_strip_behind():
     assert room_behind(np.array([[-0.6, 0.3], [0.6, 0.0], [-0.8, 0.0]]), [1.0, 0.5])
 
 
+def test_what_the_robot_hangs_on_does_not_keep_it_from_backing_up():
+    assert room_behind(np.array([[-0.3, 0.1]]), [1.0, 0.5])
+    assert not room_behind(np.array([[-0.45, 0.1]]), [1.0, 0.5])
+
+
 # The wavefront
 
 
@@ -370,6 +375,41 @@ def test_who_is_told_to_drive_and_does_not_move_backs_up_and_marks_what_is_ahead
     assert 0.2 < x < 0.6
     assert abs(y) < 0.05
     assert kind == ALWAYS
+
+
+def turned_by(rate, told, *, time=1.5):
+    """State and command after a drive ahead of so long at a yaw rate [rad/s], told another."""
+    state, command = decide(VfhState(), sight(yaw_rate=told), pioneer(), CONFIG)
+    for n in range(1, round(time / CONFIG.period)):
+        pose, now = (0.3 * n * CONFIG.period, 0.0, rate * n * CONFIG.period), n * CONFIG.period
+        ahead = np.array([pose[0] + np.cos(pose[2]), np.sin(pose[2])])
+        seen = sight(time=now, pose=pose, way=ahead, yaw_rate=told)
+        state, command = decide(state, seen, pioneer(), CONFIG)
+        if command.v_r <= 0:
+            break
+    return state, command
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_who_is_turned_without_being_told_to_backs_up_and_marks_that_side(side):
+    state, command = turned_by(0.8 * side, 0.0)
+    assert state.status == "backing"
+    assert command.v_r < 0
+    ((x, y, _, kind),) = state.marks
+    away = np.array([x, y]) - [state.back_from[0], 0.0]
+    heading = state.heading
+    across = away @ [-np.sin(heading), np.cos(heading)]
+    assert kind == ALWAYS
+    assert across * side == pytest.approx(pioneer().footprint[1] / 2)
+    assert turned_by(0.8 * side, -0.8 * side)[0].status == "backing"
+
+
+@pytest.mark.parametrize(("rate", "told"), [(0.8, 0.8), (0.4, 0.8), (0.0, 0.8), (0.15, 0.0), (0.8, np.nan)])
+def test_who_turns_as_told_or_less_or_a_little_astray_drives_on(rate, told):
+    state, command = turned_by(rate, told)
+    assert state.status == "driving"
+    assert command.v_r > 0
+    assert not state.marks
 
 
 def test_arrived_stays_so_when_pushed_a_little_and_not_when_the_goal_moves():

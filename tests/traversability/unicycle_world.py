@@ -171,6 +171,7 @@ def build(
     for name in ("reference_pose", "reference_twist", "risk"):
         connect(controller, name, law, name)
     connect(law, "twist_command", world, "twist_command")
+    connect(law, "twist_command", controller, "twist_command")
     return builder.Build()
 
 
