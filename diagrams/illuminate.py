@@ -12,7 +12,7 @@ from naraha.systems.config import quantity
 from naraha.systems.errors import ScenarioError
 from naraha.systems.placement import FloorPlan
 from naraha.systems.sensing import fit_field, write_tum
-from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
+from pydrake.geometry import Box, Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
@@ -137,11 +137,15 @@ def judged(record: RunRecord, position_limit: float) -> Ending:
 def draw_run(
     meshcat: Meshcat, scenario: IlluminateScenario, plan: FloorPlan, way: MeasuringRoute, record: RunRecord
 ) -> None:
-    """Draws lamps, the planned route, where the robot was and believed to be, and the points by what was measured."""
+    """Draws lamps, windows, the planned route, where the robot was and believed to be, and what was measured where."""
     lamps = hang_lamps(plan, scenario.hall) if scenario.hall.lamps is None else scenario.hall.lamps
     for i, lamp in enumerate(lamps):
         meshcat.SetObject(f"lamps/{i}", Sphere(0.15), Rgba(1.0, 0.93, 0.6, 1.0))
         meshcat.SetTransform(f"lamps/{i}", RigidTransform(np.array(lamp.xyz)))
+    for i, window in enumerate(scenario.hall.windows):
+        meshcat.SetObject(f"windows/{i}", Box(0.02, *window.size), Rgba(0.6, 0.85, 1.0, 0.8))
+        facing = RollPitchYaw(0, 0, np.deg2rad(window.yaw_deg))
+        meshcat.SetTransform(f"windows/{i}", RigidTransform(facing, np.array(window.xyz)))
     lines = [("route", way.route, Rgba(0.2, 0.4, 0.9, 1.0), 0.02)]
     lines += [("truth", record.track[:, 1:3], TRUTH, 0.05), ("believed", record.track[:, 4:6], ESTIMATE, 0.06)]
     for name, points, colour, z in lines:
@@ -201,7 +205,8 @@ def run_products(
         where, values = np.array([[m.x, m.y] for m in measured]), np.array([m.illuminance for m in measured])
         field = fit_field(where, values)
         write_map(mission.path("illuminance_map.csv"), plan, field, scenario.map_spacing)
-        save_figure(draw_illuminance(plan, field, spacing=scenario.map_spacing), mission.path("illuminance_map.png"))
+        figure = draw_illuminance(plan, field, spacing=scenario.map_spacing, windows=scenario.hall.windows)
+        save_figure(figure, mission.path("illuminance_map.png"))
         mission.metrics |= {"illuminance_mean_lux": field.mean, "illuminance_length_m": field.length}
 
     def write_html() -> None:

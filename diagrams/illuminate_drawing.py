@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from naraha.systems.files import replacing
 from naraha.systems.placement import FloorPlan, Placement, PlacementProblem, Round
-from naraha.systems.sensing import IlluminanceField
+from naraha.systems.sensing import IlluminanceField, Window
 
 WALL, LINKS, LANDMARK, SITE, BOX = "0.25", "0.82", "tab:purple", "0.55", "tab:red"
-ROUTE, POINT, TRUTH, BELIEF = "tab:green", "tab:blue", "0.1", "tab:orange"
+ROUTE, POINT, TRUTH, BELIEF, WINDOW = "tab:green", "tab:blue", "0.1", "tab:orange", "deepskyblue"
 
 
 def save_figure(figure: Figure, path: Path, *, dpi: int = 110) -> None:
@@ -131,7 +131,9 @@ def draw_errors(problem: PlacementProblem, placement: Placement, track: np.ndarr
     return figure
 
 
-def draw_illuminance(plan: FloorPlan, field: IlluminanceField, *, spacing: float = 0.5) -> Figure:
+def draw_illuminance(
+    plan: FloorPlan, field: IlluminanceField, *, spacing: float = 0.5, windows: Sequence[Window] = ()
+) -> Figure:
     """Maps of the illuminance between the measured points and of its standard deviation [lux]."""
     ratio = float(plan.size[1] / plan.size[0])
     figure = Figure(figsize=(11, 5.0 * ratio + 1.0), layout="constrained")
@@ -145,6 +147,11 @@ def draw_illuminance(plan: FloorPlan, field: IlluminanceField, *, spacing: float
         shown = np.where(free, values.reshape(free.shape), np.nan)
         picture = axes.pcolormesh(xs, ys, shown, cmap="inferno", shading="nearest", rasterized=True)
         draw_hall(axes, plan)
+        for window in windows:
+            yaw, half = np.deg2rad(window.yaw_deg), window.size[0] / 2
+            along = half * np.array([-np.sin(yaw), np.cos(yaw)])
+            ends = np.array(window.xyz[:2]) + np.outer([-1, 1], along)
+            axes.plot(*ends.T, color=WINDOW, lw=4, solid_capstyle="butt")
         axes.plot(*field.points.T, "o", mfc="none", mec="w", ms=5)
         axes.set_title(name, fontsize=10)
         figure.colorbar(picture, ax=axes, shrink=0.8)

@@ -96,6 +96,8 @@ SCHEMAS = {
     "construction_hall": IlluminateScenario,
     "construction_hall_paper": IlluminateScenario,
     "construction_hall_unplanned": IlluminateScenario,
+    "gallery": IlluminateScenario,
+    "workshop": IlluminateScenario,
 }
 
 
