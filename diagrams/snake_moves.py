@@ -77,6 +77,7 @@ def make_snake_moves(
     connect(builder, pilot, "path", shift)
     connect(builder, pilot, "speed_command", shift)
     connect(builder, pilot, "recovery_command", recovery, "command")
+    connect(builder, pilot, "joint_command", recovery, "held_joint_command")
     for source, name in ((shift, "shift"), (recovery, "recovery")):
         for port in ("joint_command", "wheel_speed_command"):
             connect(builder, source, port, pilot, f"{name}_{port}")

@@ -23,6 +23,7 @@ class NullSpaceRecovery(LeafSystem):
         - joint_angles
         - command
         - tip_margin
+        - held_joint_command
         output_ports:
         - joint_command
         - wheel_speed_command
@@ -46,6 +47,8 @@ class NullSpaceRecovery(LeafSystem):
       the reference, a target or an angle that is not finite.
     - `tip_margin` (1) [m], optional: distance of the centre of mass from the edge of the support polygon. The motion
       slows down below `slow_margin` and waits below `stop_margin`.
+    - `held_joint_command` (2n - 1) [rad], optional: what the joints are commanded before it starts. The pitch joints
+      go on from there and not from their measured angles, so that the body does not sink.
     - `joint_command` (2n - 1) [rad]: NaN before the first motion, then held at its end.
     - `wheel_speed_command` (2n) [rad/s]: left and right of unit 0, of unit 1, ...: wheels roll with the body.
     - `status` (`RecoveryStatus`): phase, and why it ended.
@@ -66,6 +69,7 @@ class NullSpaceRecovery(LeafSystem):
         self.DeclareVectorInputPort("joint_angles", joints)
         self.DeclareAbstractInputPort("command", AbstractValue.Make(RecoveryCommand()))
         self._tip_margin = self.DeclareVectorInputPort("tip_margin", 1)
+        self._held = self.DeclareVectorInputPort("held_joint_command", joints)
         state = self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(idle_run(body))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._Tick)
         self.DeclareVectorOutputPort("joint_command", joints, self._CalcJointCommand, {state})
@@ -86,7 +90,10 @@ class NullSpaceRecovery(LeafSystem):
         command = eval_typed(self, context, "command", RecoveryCommand)
         angles = np.array(eval_typed(self, context, "joint_angles", np.ndarray))
         if command.number != run.command.number:
-            run = start_run(run, command, angles, self._body, self._config)
+            held = None
+            if self._held.HasValue(context):
+                held = np.array(eval_typed(self, context, "held_joint_command", np.ndarray))
+            run = start_run(run, command, angles, self._body, self._config, held)
         margin = np.inf
         if self._tip_margin.HasValue(context):
             margin = float(eval_typed(self, context, "tip_margin", np.ndarray)[0])

@@ -6,10 +6,19 @@ import numpy as np
 
 from ..errors import ConfigError
 from . import null_space_kernels as kernel
+from .chain import ChainKinematics
 from .chain_kernels import axle_rates
 from .null_space_config import NullSpaceConfig
 from .null_space_kernels import recovery_tick
-from .recovery_motion import RecoveryCommand, RecoveryMotion, joint_name, minimum_jerk, plan_motion
+from .recovery_motion import (
+    RecoveryCommand,
+    RecoveryMotion,
+    joint_name,
+    minimum_jerk,
+    plan_motion,
+    rotation_by,
+    rotation_vector,
+)
 from .snake_body import SnakeBody
 
 
@@ -49,8 +58,10 @@ class RecoveryRun:
     Attributes:
         command: that it carries out. motion: its plan; None when there is none.
         joints: (2n - 1,) commanded angles [rad]; NaN before the first command. wheels: (n,) commanded rates [rad/s].
-        time: fraction of the duration that the motion has got to. settling: how long it has been settling [s].
+        time: fraction of the duration that the motion has got to. elapsed: since the start [s].
+        settling: how long it has been settling [s].
         patience: how long each trouble has lasted [s]: an error, a joint that lags, tipping, an angle that is missing.
+        sag: (6,) by how much the control point was off the start of the motion, position [m] and rotation vector [rad].
     """
 
     command: RecoveryCommand
@@ -61,8 +72,10 @@ class RecoveryRun:
     settings: np.ndarray = field(default_factory=lambda: np.zeros(0))
     duration: float = 0.0
     time: float = 0.0
+    elapsed: float = 0.0
     settling: float = 0.0
     patience: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    sag: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     def __deepcopy__(self, memo: dict) -> "RecoveryRun":
         return self
@@ -81,28 +94,59 @@ def idle_run(body: SnakeBody) -> RecoveryRun:
 
 
 def start_run(
-    run: RecoveryRun, command: RecoveryCommand, angles: np.ndarray, body: SnakeBody, config: NullSpaceConfig
+    run: RecoveryRun,
+    command: RecoveryCommand,
+    angles: np.ndarray,
+    body: SnakeBody,
+    config: NullSpaceConfig,
+    held: np.ndarray | None = None,
 ) -> RecoveryRun:
-    """Begins what `command` asks for from measured `angles` (2n - 1,), or refuses it and says why."""
+    """Begins what `command` asks for from measured `angles` (2n - 1,), or refuses it and says why.
+
+    Args:
+        held: (2n - 1,) what the joints are commanded at that moment [rad]; the measured angles when None.
+    """
     hold = replace(run, command=command, wheels=np.zeros(body.units), motion=None, patience=np.zeros(4))
     if not command.run:
         phase = "stopped" if run.status.phase in ("moving", "settling") else run.status.phase
         reason = "stopped by command" if phase != run.status.phase else run.status.reason
         return replace(hold, status=replace(run.status, number=command.number, phase=phase, reason=reason))
+    shape = held_shape(angles, held, config)
     try:
-        motion = plan_motion(angles, command, body.half_length, shift=config.trailing == "shift")
+        motion = plan_motion(shape, command, body.half_length, shift=config.trailing == "shift")
     except ConfigError as error:
         return replace(hold, status=RecoveryStatus(command.number, "refused", str(error)))
     duration = config.duration if command.duration is None else command.duration
+    segment = slice(2 * command.first_unit, 2 * command.last_unit + 1)
     return RecoveryRun(
         command,
         RecoveryStatus(command.number, "moving"),
-        angles.copy(),
+        shape,
         np.zeros(body.units),
         motion,
         config.settings(2 * (command.last_unit - command.first_unit) + 1, body.half_length),
         max(duration, motion.shortest_duration(config.max_control_speed, config.max_joint_rate)),
+        sag=_from_start(angles[segment], motion, body) if (shape != angles).any() else np.zeros(6),
     )
+
+
+def held_shape(angles: np.ndarray, held: np.ndarray | None, config: NullSpaceConfig) -> np.ndarray:
+    """The angles (2n - 1,) that the pitch joints are told to hold, against the body's weight [rad].
+
+    A drive carries weight by a command that leads its angle: from the measured angles the body would sink. Yaw joints
+    carry no weight: what they press against is let go. At most half of `max_lead`, so that none looks blocked.
+    """
+    shape = angles.copy()
+    if held is not None and config.feedback:
+        lead = np.nan_to_num(held[::2] - angles[::2])
+        shape[::2] += np.clip(lead, -0.5 * config.max_lead, 0.5 * config.max_lead)
+    return shape
+
+
+def _from_start(angles: np.ndarray, motion: RecoveryMotion, body: SnakeBody) -> np.ndarray:
+    """(6,) the control point of a segment with `angles` (m,) against the start of its motion [m, rad]."""
+    R, p = ChainKinematics(len(angles), body.half_length).control_pose(angles)
+    return np.r_[p - motion.position[0], rotation_vector(R @ motion.rotation[0].T)]
 
 
 def step_run(
@@ -131,14 +175,20 @@ def step_run(
     fraction, slope = minimum_jerk(time)
     fraction_rate = slope * (time - run.time) / dt
 
+    begun, _ = minimum_jerk(run.elapsed / config.start_time)
     report, reference = np.zeros(kernel.REPORT), motion.reference(fraction, fraction_rate)
+    # Not as a velocity to go at: the sag goes by itself with the load, the drives need not move for that.
+    reference[:3] += (1.0 - begun) * run.sag[:3]
+    reference[3:12] = (rotation_by((1.0 - begun) * run.sag[3:]) @ reference[3:12].reshape(3, 3)).ravel()
+    settings = run.settings.copy()
+    settings[kernel.MAX_NULL_RATE] *= begun if config.bounded else 1.0
     kinematic = angles if config.feedback else run.joints
     rates = recovery_tick(
         np.ascontiguousarray(kinematic[segment]),
         reference,
         motion.target,
         limits,
-        run.settings,
+        settings,
         report,
     )
     if report[kernel.SINGULAR] > 0:
@@ -182,7 +232,16 @@ def step_run(
         ]
     )
     patience = np.where(trouble, run.patience + dt, 0.0)
-    new = replace(run, status=status, joints=joints, wheels=wheels, time=time, settling=settling, patience=patience)
+    new = replace(
+        run,
+        status=status,
+        joints=joints,
+        wheels=wheels,
+        time=time,
+        elapsed=run.elapsed + dt,
+        settling=settling,
+        patience=patience,
+    )
     return _judge(new, rates, report, lead, tip_margin, body, config)
 
 

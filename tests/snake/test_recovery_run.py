@@ -239,3 +239,63 @@ def test_the_joint_term_keeps_joints_in_their_range_where_nothing_else_does():
     ]
     assert margins[0] > np.deg2rad(3)
     assert margins[1] < 0
+
+
+def on_a_stone():
+    """Runs a recovery of a straight body that sags around a stone; drives give way by what the weight takes of them.
+
+    Within 0.3 s the stone no longer presses, and the drives that gave way to it come back to their commands.
+    """
+    config = NullSpaceConfig()
+    weight = np.zeros(19)
+    weight[[6, 8, 10]] = -0.008, -0.016, -0.003
+    measured = STRAIGHT + weight
+    command = towards(measured, first=2, last=6)
+    runs = [start_run(idle_run(BODY), command, measured, BODY, config, held=STRAIGHT)]
+    while runs[-1].status.phase in ("moving", "settling") and len(runs) < 3000:
+        runs.append(step_run(runs[-1], measured, np.inf, BODY, config))
+        lifted = min(len(runs) * config.period / 0.3, 1.0)
+        measured = runs[-1].joints + (1.0 - lifted) * weight
+    return runs
+
+
+def test_a_body_that_sags_is_not_let_go_when_it_starts_to_move():
+    runs = on_a_stone()
+    # Its drives are told what held it, not where it sagged to; and so nothing gives way.
+    np.testing.assert_array_equal(runs[0].joints, STRAIGHT)
+    assert np.abs(runs[1].joints).max() < 2e-3
+    assert runs[-1].status.phase == "done"
+
+
+def test_the_reference_starts_where_the_control_point_is_and_leaves_the_sag_behind():
+    runs = on_a_stone()
+    assert np.linalg.norm(runs[0].sag[:3]) > 0.005  # the control point hangs that much below
+    assert np.linalg.norm(runs[1].status.control_error[:3]) < 1e-5
+    assert largest_error(runs) < 0.003
+    after = next(run for run in runs if run.elapsed > 0.35)
+    motion = plan_motion(STRAIGHT, runs[0].command, L)
+    place = motion.reference(after.status.progress, 0.0)[:12]
+    np.testing.assert_allclose(after.status.reference, place, atol=1e-6)
+
+
+def test_the_null_space_term_comes_in_gently():
+    def first_step(start_time):
+        runs = recover(wavy(2), config=NullSpaceConfig(start_time=start_time))
+        return max(np.abs(b.joints - a.joints).max() for a, b in itertools.pairwise(runs[1:6]))
+
+    assert first_step(0.3) < 0.2 * first_step(1e-3)
+
+
+def test_what_presses_sideways_is_let_go_at_the_start():
+    held = STRAIGHT.copy()
+    held[7] = 0.4  # a bend that walls do not let the snake have
+    held[8] = 0.4  # more than any weight asks for
+    run = start_run(idle_run(BODY), towards(STRAIGHT), STRAIGHT, BODY, NullSpaceConfig(), held=held)
+    assert run.joints[7] == 0.0
+    assert run.joints[8] == pytest.approx(0.5 * NullSpaceConfig().max_lead)
+
+
+def test_a_joint_whose_held_command_is_missing_starts_where_it_is():
+    held = np.full(19, np.nan)
+    run = start_run(idle_run(BODY), towards(wavy(3)), wavy(3), BODY, NullSpaceConfig(), held=held)
+    np.testing.assert_array_equal(run.joints, wavy(3))
