@@ -69,7 +69,8 @@ def terms(limit: float, digits: int) -> SizeTerms:
 def ability_from(intervals: dict[str, Interval], roughness: float, scenario: CalibrateScenario) -> Ability:
     """The ability that follows from what was passed.
 
-    Memberships from the limits of slopes and roughness; the step as it is, but no less than the noise of the heights.
+    Memberships from the limits of slopes and roughness; the step as it is, but no less than the noise of the heights,
+    and then its own limit beside it.
     A rectangle is too high when its middle is higher than the steepest slope and the highest step together can make
     it. At a risk limit of 60, one feature alone is passable up to 0.95 of its limit.
 
@@ -89,6 +90,7 @@ def ability_from(intervals: dict[str, Interval], roughness: float, scenario: Cal
         fuzzy=fuzzy,
         height_threshold=round(middle * float(np.tan(pitch)) + step, 3),
         step_threshold=round(max(step, _LEAST_STEP), 4),
+        step_limit=round(step, 4) if step < _LEAST_STEP else None,
     )
 
 

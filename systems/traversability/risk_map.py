@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import binary_propagation
 
 from ..config import check_config, quantity
 from ..errors import InputError
@@ -83,8 +84,9 @@ def make_risk_map(
     by three that takes out what single cells say); its slope counts once all as pitch, once all as roll and once half
     of each way, and the worst of the three is kept. Roughness is the variance of the distances to the plane (Eq. 4).
     A cell at a step above `step_threshold` is `IMPASSABLE`: the step itself, not the window around it, whose plane and
-    roughness leave such cells out. A cell whose
-    window was seen by less than `min_coverage`, or that was itself not seen nor lies between two that were, is NaN.
+    roughness leave such cells out; so is one above `step_limit` that is joined to it by others of that kind. A cell
+    whose window was seen by less than `min_coverage`, or that was itself not seen nor lies between two that were, is
+    NaN.
 
     Args:
         points: (N, 3) [m], z up.
@@ -109,7 +111,7 @@ def make_risk_map(
     surface = find_surface(points, origin, shape, cell, clearance=config.surface.clearance, ceiling=config.ceiling)
     half = max(1, round(0.5 * (config.window / cell - 1)))
     step = find_steps(surface, config.surface)
-    stepped = step > ability.step_threshold
+    stepped = _too_high(step, ability, config.surface.noise)
     slope, roughness, coverage, height = window_features(surface.low, surface.high, stepped, cell, half)
     inference, zero = Mamdani(ability.fuzzy), np.zeros(slope.size)
     flat, rough = slope.ravel().astype(float), roughness.ravel().astype(float)
@@ -123,3 +125,14 @@ def make_risk_map(
     risk[stepped] = IMPASSABLE
     risk[(coverage < ability.min_coverage) | ~np.isfinite(height)] = np.nan
     return RiskMap(risk, height, slope, roughness, step, coverage, np.asarray(origin, float), cell)
+
+
+def _too_high(step: np.ndarray, ability: Ability, noise: float) -> np.ndarray:
+    """Where steps are too high for the robot, (nx, ny) bool, by two thresholds as Canny's edges: a single cell above
+    the lower one may be noise, a row of them that goes on from a step that is surely too high is its end."""
+    high = step > ability.step_threshold
+    if ability.step_limit is None:
+        return high
+    # Of the heights in a cell the outermost are compared, which noise drives apart by half of what was taken off.
+    low = step > ability.step_limit - 0.5 * noise
+    return binary_propagation(high, structure=np.ones((3, 3), bool), mask=high | low)

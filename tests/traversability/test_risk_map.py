@@ -44,6 +44,29 @@ def test_a_step_is_impassable_only_for_a_robot_that_cannot_climb_it():
         assert found.at(np.array([[-1.0, 0.0], [1.0, 0.0]])).max() < 60
 
 
+def side_of_a_ramp(highest):
+    """Flat beside a ramp that rises from 0 at x = -2 m to `highest` at x = 2 m; the edge is at y = 0."""
+    return ground(lambda x, y: np.where(y > 0, highest * (x + 2) / 4, 0), noise=0.004)
+
+
+def test_a_step_that_fades_is_impassable_down_to_what_the_robot_climbs():
+    points = side_of_a_ramp(0.16)
+
+    def end(**values):
+        found = make_risk_map(points, Ability(step_threshold=0.03, **values))
+        return found.origin[0] + found.cell * np.argwhere(found.risk == IMPASSABLE)[:, 0].min()
+
+    # 0.05 m at -0.75 m, 0.03 m at -1.25 m, 0.017 m at -1.58 m.
+    assert -1.2 < end() < -0.6
+    assert -1.7 < end(step_limit=0.017) < -1.25
+
+
+def test_a_low_step_that_joins_no_higher_one_is_not_impassable():
+    points = ground(lambda x, y: np.where(np.abs(y) < 0.3, 0.025, 0.0), noise=0.004)
+    found = make_risk_map(points, Ability(step_threshold=0.03, step_limit=0.017))
+    assert not (found.risk == IMPASSABLE).any()
+
+
 def test_a_pole_is_impassable_where_it_stands_and_not_around_it():
     found = make_risk_map(np.vstack([ground(plane(0)), pole((0.55, 0.55))]), Ability())
     assert found.at(np.array([[0.55, 0.55]]))[0] == IMPASSABLE
