@@ -11,19 +11,19 @@ from .planar import difference
 
 @njit(cache=True)
 def hit_share(log_odds: np.ndarray, ox: float, oy: float, res: float, points: np.ndarray, X: np.ndarray) -> float:
-    """Share of the beams' ends in cells of walls' faces among those in cells that are known; in [0, 1].
+    """Share of the beams' ends in cells of walls' faces; in [0, 1].
 
-    What is occupied all around is the inside of a wall: no beam ends there.
+    What is occupied all around is the inside of a wall: no beam ends there. Ends in cells that are not known are not
+    left out: while the map is made, a pose from which most beams end beyond it would be the fittest.
     """
     c, s = math.cos(X[2]), math.sin(X[2])
-    hit, known = 0, 0
+    hit = 0
     for k in range(len(points)):
         i = math.floor((X[0] + c * points[k, 0] - s * points[k, 1] - ox) / res)
         j = math.floor((X[1] + s * points[k, 0] + c * points[k, 1] - oy) / res)
-        if 0 <= i < log_odds.shape[0] and 0 <= j < log_odds.shape[1] and log_odds[i, j] != 0.0:
-            known += 1
+        if 0 <= i < log_odds.shape[0] and 0 <= j < log_odds.shape[1]:
             hit += log_odds[i, j] > 0.0 and not _is_inside(log_odds, i, j)
-    return hit / max(known, 1)
+    return hit / max(len(points), 1)
 
 
 @njit(cache=True)

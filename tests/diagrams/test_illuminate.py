@@ -89,17 +89,19 @@ def test_a_run_out_of_time_says_how_many_points_are_left(scenario):
     assert np.isnan(record.metrics()["max_position_error_m"])
 
 
-SHIPPED = ("construction_hall", "construction_hall_unplanned", "construction_hall_paper", "gallery", "workshop")
+HALL = "construction_hall"
+SHIPPED = (HALL, f"{HALL}_unplanned", f"{HALL}_paper", f"{HALL}_paper_mapping", "gallery", "workshop")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_scenario_says_how_it_plans_and_localises_and_starts(name):
     scenario = load_illuminate(name, ["recording=null"])
-    assert (scenario.planning is None) == scenario.localizer.mapping == (name == "construction_hall_unplanned")
-    assert scenario.localizer.method == ("paper" if name.endswith("paper") else "naraha")
+    assert (scenario.planning is None) == name.endswith("unplanned")
+    assert scenario.localizer.mapping == (not scenario.map_from_plan) == name.endswith(("unplanned", "mapping"))
+    assert scenario.localizer.method == ("paper" if "paper" in name else "naraha")
     if scenario.planning is not None:
         paper = scenario.planning.rounds.evolution.preset == "paper"
-        assert paper == (not scenario.planning.problem.straighten) == name.endswith("paper")
+        assert paper == (not scenario.planning.problem.straighten) == ("paper" in name)
     plan = read_plan(scenario)
     record = run_once(replace(scenario, duration=3.0), plan, straight_route(plan), 0, 0.4)
     assert np.hypot(*(record.track[-1, 1:3] - plan.start[:2])) > 0.5

@@ -95,6 +95,7 @@ SCHEMAS = {
     "stuck": RecoverScenario,
     "construction_hall": IlluminateScenario,
     "construction_hall_paper": IlluminateScenario,
+    "construction_hall_paper_mapping": IlluminateScenario,
     "construction_hall_unplanned": IlluminateScenario,
     "gallery": IlluminateScenario,
     "workshop": IlluminateScenario,

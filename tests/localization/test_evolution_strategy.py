@@ -42,6 +42,15 @@ def test_the_strategy_of_the_paper_finds_it_to_a_cell(grid, points, seed):
     assert np.linalg.eigvalsh(covariance).min() >= 0
 
 
+def test_beams_that_end_where_nothing_is_known_are_no_hits():
+    log_odds = np.zeros((10, 10), np.float32)
+    log_odds[5, :] = 2.0
+    log_odds[:5] = -2.0
+    ends = np.array([[0.525, 0.225], [0.525, 0.325], [0.825, 0.225], [0.225, 0.225], [3.0, 0.2]])
+    assert hit_share(log_odds, 0.0, 0.0, 0.1, ends, np.zeros(3)) == pytest.approx(2 / 5)
+    assert hit_share(log_odds, 0.0, 0.0, 0.1, ends, np.array([0.3, 0.0, 0.0])) == pytest.approx(1 / 5)
+
+
 def test_one_seed_gives_one_answer_and_another_another(grid, points):
     arguments = (make_field(grid), points, np.add(TRUTH, [0.2, -0.1, 0.05]), SPREAD, np.eye(3), 20.0, EvolutionConfig())
     first, again = (evolve(*arguments, seed=3, index=7) for _ in range(2))

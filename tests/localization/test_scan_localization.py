@@ -146,6 +146,12 @@ def test_mapping_while_localising_closes_on_itself_in_a_room():
     assert nees(errors, all_known).mean() / 3 < 4
 
 
+def test_the_strategy_of_the_paper_maps_on_the_way_though_much_of_a_scan_is_not_in_the_map_yet():
+    config = LocalizerConfig(method="paper", mapping=True, max_range=4.0)
+    errors, _ = run(room(), None, [4, 1.2, 0], IN_CIRCLE, config, 0)
+    assert np.hypot(*errors[:, :2].T).max() < 0.2
+
+
 def test_mapping_a_bare_corridor_does_not_hold_on_to_its_own_noise():
     errors, all_known = run(corridor(), None, [0, 0.2, 0], ALONG, LocalizerConfig(mapping=True), 4)
     deviation = np.sqrt(all_known[-1].covariance[0, 0])
