@@ -1,4 +1,4 @@
-"""Grounds on which a robot's ability is tried: a ramp, a slope along its side, a step, and ridges, at any level."""
+"""Grounds on which robots are tried: a ramp, a slope along their side, a step, ridges, a stair, at any level."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,8 +10,9 @@ from naraha.models.worlds.surfaces import CONCRETE_FLOOR
 
 # [m] Flat ground in front of the obstacle, which begins at x = 0, and the ground behind its edge.
 RUN_UP, LENGTH, WIDTH = 4.0, 5.0, 6.0
-# [m] Shortest and longest ramp of a ridge.
+# [m] Shortest and longest ramp of a ridge. Going of a stair, that of the stair hall, and its number of steps.
 _RUNS = (0.3, 0.6)
+GOING, _STEPS = 0.26, 14
 
 
 def ramp(slope: float, seed: int, friction: float) -> World:
@@ -55,11 +56,21 @@ def ridges(height: float, seed: int, friction: float) -> World:
     return _world(friction, *solids)
 
 
+def stair(rise: float, seed: int, friction: float) -> World:
+    """A flight of steps up along x, each `rise` [m] high; the first is at x = 0."""
+    treads = []
+    for i in range(_STEPS):
+        size, top = [GOING, WIDTH, rise], (i + 1) * rise
+        treads.append(_box(f"tread_{i}", size, [(i + 0.5) * GOING, 0, top - 0.5 * rise], [0, 0, 0], friction))
+    return _world(friction, *treads)
+
+
 GROUNDS: dict[str, Callable[[float, int, float], World]] = {
     "pitch_slope": ramp,
     "roll_slope": side_slope,
     "step": step,
     "ridges": ridges,
+    "stair": stair,
 }
 
 

@@ -14,7 +14,7 @@ from naraha.systems.tracking import planar_pose, pose_error
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
-from .ability_worlds import GROUNDS
+from .ability_worlds import GOING, GROUNDS
 from .motions import make_motions
 from .station import StationConfig
 from .wiring import subsystem
@@ -34,6 +34,8 @@ class PrimitiveTrials:
     # [rad] Slope that is driven up, down and along. [m] Height of the ridges on rough ground.
     slope: float = quantity(0.3, unit="rad", low=0)
     ridges: float = quantity(0.06, unit="m", low=0)
+    # [m] Height of the steps of a stair, with a going of 0.26 m, that is driven up and down.
+    rise: float = quantity(0.18, unit="m", low=0)
     # [m], [deg] How far the start and the heading are off, at most.
     offset: float = quantity(0.1, unit="m", low=0)
     heading_deg: float = quantity(5.0, unit="deg", low=0, high=20)
@@ -44,12 +46,17 @@ class PrimitiveTrials:
 
 @dataclass(frozen=True)
 class _Site:
-    """A ground: kind of terrain, world of `GROUNDS` at a level, and headings that the robot may have on it [45°]."""
+    """A ground: kind of terrain, world of `GROUNDS` at a level, and headings that the robot may have on it [45°].
+
+    The robot stands on a plane that rises along x by `slope` [rad], `height` [m] high at x = 0.
+    """
 
     terrain: str
     world: str
     level: float
     headings: tuple[int, ...]
+    slope: float = 0.0
+    height: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,12 +80,16 @@ class Trial:
 def sites(config: PrimitiveTrials) -> dict[str, _Site]:
     """The grounds by their names."""
     every = tuple(range(8))
+    # On a stair the robot lies on the edges of the treads.
+    edges = {"slope": float(np.arctan2(config.rise, GOING)), "height": config.rise}
     return {
         "flat": _Site("flat", "pitch_slope", 0.0, every),
-        "slope_up": _Site("slope", "pitch_slope", config.slope, (0,)),
-        "slope_down": _Site("slope", "pitch_slope", config.slope, (4,)),
-        "side_slope": _Site("slope", "pitch_slope", config.slope, (2, 6)),
-        "rough": _Site("rough", "ridges", config.ridges, every),
+        "slope_up": _Site("slope", "pitch_slope", config.slope, (0,), config.slope),
+        "slope_down": _Site("slope", "pitch_slope", config.slope, (4,), config.slope),
+        "side_slope": _Site("slope", "pitch_slope", config.slope, (2, 6), config.slope),
+        "rough": _Site("rough", "ridges", config.ridges, every, height=config.ridges),
+        "stair_up": _Site("steps", "stair", config.rise, (0,), **edges),
+        "stair_down": _Site("steps", "stair", config.rise, (4,), **edges),
     }
 
 
@@ -90,11 +101,9 @@ def try_motion(
     world: World = GROUNDS[site.world](site.level, seed, float(rng.uniform(config.friction[0], config.friction[1])))
     nominal = int(rng.choice(site.headings)) * np.pi / 4
     yaw = nominal + np.deg2rad(config.heading_deg) * rng.uniform(-1, 1)
-    slope = site.level if site.world == "pitch_slope" else 0.0
-    height = station.robot.known_model().base_height
-    bump = site.level if site.world == "ridges" else 0.0
-    place = [_PLACE + config.offset * rng.uniform(-1, 1), config.offset * rng.uniform(-1, 1), height + bump]
-    X_WG = RigidTransform(RollPitchYaw(0, -slope, 0), np.zeros(3))
+    slope, height = site.slope, station.robot.known_model().base_height
+    place = [_PLACE + config.offset * rng.uniform(-1, 1), config.offset * rng.uniform(-1, 1), height]
+    X_WG = RigidTransform(RollPitchYaw(0, -slope, 0), np.array([0, 0, site.height]))
     X_WB = X_WG @ RigidTransform(RollPitchYaw(0, 0, yaw), np.array(place))
     # The station is built with the robot in the air before the obstacle: it must not start inside a slope or ridge.
     robot = replace(station.robot, start_xyz=[-1.0, 0.0, height + _ABOVE], start_yaw_deg=float(np.rad2deg(yaw)))

@@ -215,20 +215,24 @@ class TestPrimitives:
             ("slope_up", BACK, (-0.5, 0, 0)),
             ("side_slope", FORWARD, (0.5, 0, 0)),
             ("rough", RIGHT, (0, 0, -np.pi / 4)),
+            ("stair_up", FORWARD, (0.47, 0, 0)),
+            ("stair_down", BACK, (-0.47, 0, 0)),
         ],
     )
     def test_a_motion_does_about_what_it_says(self, station, ground, action, expected):
         config = PrimitiveTrials()
-        trial = try_motion(station, sites(config)[ground], action, np.random.default_rng(0), config)
+        site = sites(config)[ground]
+        trial = try_motion(station, site, action, np.random.default_rng(0), config)
         assert trial.ended
         assert trial.moved == pytest.approx(expected, abs=0.06 if ground != "rough" else 0.3)
         # On a crest tracks turn more easily than on a floor, on which they have their gauge.
         assert (-0.6 if ground == "rough" else -0.05) < trial.slip < 0.7
-        assert trial.tilt == pytest.approx(config.slope if "slope" in ground else 0.0, abs=0.25)
+        assert trial.tilt == pytest.approx(site.slope, abs=0.25)
 
-    def test_turning_on_a_slope_slides_down(self, station):
+    @pytest.mark.parametrize("ground", ["slope_up", "stair_up"])
+    def test_turning_on_a_slope_slides_down(self, station, ground):
         config = PrimitiveTrials()
-        trial = try_motion(station, sites(config)["slope_up"], LEFT, np.random.default_rng(0), config)
+        trial = try_motion(station, sites(config)[ground], LEFT, np.random.default_rng(0), config)
         assert trial.moved[0] < -0.05
         assert trial.slip > 0.1
 
