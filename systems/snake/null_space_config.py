@@ -20,7 +20,7 @@ class NullSpaceConfig:
     duration: float = quantity(4.0, unit="s", above=0.0)
     # At its beginning, time in which the null-space term comes in and the body's sag goes out of the reference. A body
     # that lies on something sags around it; as soon as the segment carries itself the load of its drives turns round.
-    start_time: float = quantity(0.3, unit="s", above=0.0)
+    start_time: float = quantity(0.4, unit="s", above=0.0)
     # Afterwards, the longest time for the rest of the way to the target.
     settle_time: float = quantity(2.0, unit="s", low=0.0)
     # Largest speed of the control point.
