@@ -125,15 +125,15 @@ def test_no_file_is_refused(tmp_path):
 def test_the_crawler_s_motions_are_there_for_every_kind_that_was_driven():
     primitives = robot_primitives("crawler")
     assert primitives.robot == "crawler"
-    assert {ground.terrain for ground in primitives.grounds.values()} == {"flat", "slope", "rough"}
+    assert {ground.terrain for ground in primitives.grounds.values()} == {"flat", "slope", "steps", "rough"}
     for ground in primitives.grounds.values():
         assert list(ground.motions) == list(ACTIONS)
         assert all(outcome.failed == 0 for outcome in ground.motions.values())
     model = motion_model(primitives, 0.5)
     assert model.outcomes("flat", "forward")[0][0] > 0.98
-    # Tracks that turn on a slope slide down it.
-    slides = sum(p for p, cells, _, _ in model.outcomes("slope", "left") if cells)
-    assert slides > 0.1
+    # Tracks that turn on a slope slide down it, more so on a stair.
+    slope, stair = (sum(p for p, cells, _, _ in model.outcomes(t, "left") if cells) for t in ("slope", "steps"))
+    assert stair > slope > 0.1
     with pytest.raises(ScenarioError, match=r"no motions were measured.*crawler"):
         robot_primitives("pioneer")
 
