@@ -52,6 +52,7 @@ def test_every_class_is_noticed_and_the_snake_drives_on(kind):
     if metrics.move.startswith("recover"):
         assert metrics.head_motion_m < 0.02
         assert metrics.control_point_error_m < 0.005
+        assert metrics.control_point_error_max_m < 0.005
         assert metrics.target_distance_end_m < metrics.target_distance_start_m
 
 
