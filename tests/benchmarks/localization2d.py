@@ -12,6 +12,7 @@ Time is that of one core, all included.
 """
 
 import argparse
+import itertools
 import statistics
 import time
 from pathlib import Path
@@ -153,7 +154,7 @@ def main() -> None:
     if arguments.only in (None, "rooms"):
         rows = []
         for name in DRIVES:
-            for method, mapping in (("naraha", False), ("naraha", True), ("paper", False)):
+            for method, mapping in itertools.product(("naraha", "paper"), (False, True)):
                 found = in_rooms(name, method, mapping, arguments.seeds)
                 label = f"{name}_{method}{'_mapping' if mapping else ''}"
                 values |= {f"{label}_{key}": value for key, value in found.items()}
