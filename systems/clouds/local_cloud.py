@@ -16,6 +16,7 @@ from ..errors import ConfigError
 from ..ports import eval_typed, weak_method
 from ..sensing import Scan, interpolate_pose
 from ..sensing.deskew import rotation_vector
+from .dust import without_dust
 from .height_drift import height_offset
 from .local_points import (
     WAY_OF_TURN,
@@ -158,6 +159,8 @@ def take_in(memory: _Memory, note: _Note, scan: Scan, config: LocalCloudConfig) 
     (X_OB0, X_BS0), (X_OB1, X_BS1) = (poses_at(notes, time) for time in (scan.start_time, scan.end_time))
     X_OB0, X_OB1 = (_lifted(X_OB, memory.lift) for X_OB in (X_OB0, X_OB1))
     X_OS0, X_OS1 = X_OB0 @ X_BS0, X_OB1 @ X_BS1
+    if config.dust_gap is not None:
+        scan = without_dust(scan, config.dust_gap)
     times, duration = scan.attribute("time"), scan.end_time - scan.start_time
     roll, pitch, _ = rotation_vector(X_OB0[:3, :3].T @ X_OB1[:3, :3])
     if memory.last_index >= 0 and math.hypot(roll, pitch) > config.max_swing_rate * duration:

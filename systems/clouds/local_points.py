@@ -46,6 +46,9 @@ class LocalCloudConfig:
     clear_after: int = quantity(3, unit="scans", low=0, high=255)
     # [m] Points of a scan that are nearer to the sensor are the robot itself.
     min_range: float = quantity(0.1, unit="m", low=0)
+    # [m] Shots whose range differs by more from all beside them in their ring came back from dust, and are left out;
+    # null keeps them, as where the air is clear.
+    dust_gap: float | None = quantity(None, unit="m", above=0)
     # [rad/s] A scan during which roll and pitch change faster than this is left out: poses that are a few hundredths of
     # a second late put its points centimetres too high or too low, and the ground seems to have steps.
     max_swing_rate: float = quantity(0.4, unit="rad/s", above=0)

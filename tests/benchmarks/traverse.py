@@ -41,6 +41,7 @@ def drive(robot: str, seed: int, blocked: bool, fit: str, stray: float, folder: 
             "duration": "240",
             "terrain.fit": fit,
             "lidar.stray": str(stray),
+            "local_cloud.dust_gap": "0.1" if stray > 0 else "null",
         }
         words = [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
         run = Run(
