@@ -26,7 +26,7 @@ class Ability:
     step_threshold: float = quantity(0.1, unit="m", above=0)
     # [m] Highest step that it climbs, where a LiDAR cannot tell one as low from noise; null where `step_threshold` is
     # that. Steps between the two count where they are the end of one above the threshold, as at the side of a ramp.
-    step_limit: float | None = quantity(None, unit="m", above=0)
+    step_limit: float | None = quantity(None, unit="m", low=0)
     # [-] Share of a rectangle that must have been seen: what was not seen is not safe.
     min_coverage: float = quantity(0.5, unit="-", low=0, high=1)
     # [-] r_limit: risk from which on a rectangle is impassable.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import binary_propagation
+from scipy.ndimage import binary_dilation
 
 from ..config import check_config, quantity
 from ..errors import InputError
@@ -17,6 +17,8 @@ from .terrain_config import SurfaceConfig
 _MOST_CELLS = 25_000_000
 # Risk where a limit is exceeded: far above any that is inferred.
 IMPASSABLE = 1e3
+# [cells] So far the end of a step is followed: where noise is large it would lead across the floor.
+_LONGEST_END = 5
 
 
 @dataclass(kw_only=True)
@@ -111,7 +113,7 @@ def make_risk_map(
     surface = find_surface(points, origin, shape, cell, clearance=config.surface.clearance, ceiling=config.ceiling)
     half = max(1, round(0.5 * (config.window / cell - 1)))
     step = find_steps(surface, config.surface)
-    stepped = _too_high(step, ability, config.surface.noise)
+    stepped = _too_high(step, ability)
     slope, roughness, coverage, height = window_features(surface.low, surface.high, stepped, cell, half)
     inference, zero = Mamdani(ability.fuzzy), np.zeros(slope.size)
     flat, rough = slope.ravel().astype(float), roughness.ravel().astype(float)
@@ -127,12 +129,11 @@ def make_risk_map(
     return RiskMap(risk, height, slope, roughness, step, coverage, np.asarray(origin, float), cell)
 
 
-def _too_high(step: np.ndarray, ability: Ability, noise: float) -> np.ndarray:
+def _too_high(step: np.ndarray, ability: Ability) -> np.ndarray:
     """Where steps are too high for the robot, (nx, ny) bool, by two thresholds as Canny's edges: a single cell above
     the lower one may be noise, a row of them that goes on from a step that is surely too high is its end."""
     high = step > ability.step_threshold
     if ability.step_limit is None:
         return high
-    # Of the heights in a cell the outermost are compared, which noise drives apart by half of what was taken off.
-    low = step > ability.step_limit - 0.5 * noise
-    return binary_propagation(high, structure=np.ones((3, 3), bool), mask=high | low)
+    low = step > ability.step_limit
+    return binary_dilation(high, structure=np.ones((3, 3), bool), iterations=_LONGEST_END, mask=high | low)
