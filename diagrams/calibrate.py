@@ -28,6 +28,7 @@ from .station import StationConfig
 
 # Corners of SMALL, MEDIUM and LARGE as parts of the highest level at which every drive passed.
 _CORNERS = (0.4, 0.55, 0.75, 1.0)
+# What is found out, and its unit; of the grounds that there are, these.
 _UNITS = {"pitch_slope": "rad", "roll_slope": "rad", "step": "m", "ridges": "m"}
 # The limit of roughness is at least this many times what noise makes of flat ground.
 _LEAST_ROUGHNESS = 4.0
@@ -136,7 +137,7 @@ def calibrate(scenario: CalibrateScenario, options: Options) -> int:
     with mission.timed(), bar, stop_flag() as stopped:
         task = bar.add_task("")
         try:
-            for kind in GROUNDS:
+            for kind in _UNITS:
 
                 def passes(level: float, seed: int, kind: str = kind) -> str:
                     if stopped():
@@ -168,7 +169,7 @@ def calibrate(scenario: CalibrateScenario, options: Options) -> int:
         mission.metrics["drives"] = len(rows)
 
     def write_file() -> None:
-        if len(intervals) == len(GROUNDS):
+        if len(intervals) == len(_UNITS):
             flat, rough = (
                 measured_roughness(top, scenario.seed, scenario.terrain) for top in (0.0, intervals["ridges"].passes)
             )
