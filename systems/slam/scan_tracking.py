@@ -60,6 +60,9 @@ class ScanMatcherConfig:
     # below it are not registered, because registration is what costs; without odometry, all are, and all are keyframes.
     keyframe_distance: float = quantity(0.5, unit="m", low=0)
     keyframe_angle_deg: float = quantity(15.0, unit="deg", low=0)
+    # [s] With odometry, a robot that has moved more than `rest_distance` or `rest_angle_deg` is registered at the
+    # latest after this time: on slopes tracks slide in ways that odometry cannot tell. Null waits for the motion above.
+    max_wait: float | None = quantity(None, unit="s", above=0)
     # [m], [deg] With odometry, a robot that has come to rest after a smaller motion than that, but larger than this, is
     # registered once more: tracks say little of a turn, and what cameras see at rest is laid on that keyframe.
     rest_distance: float = quantity(0.03, unit="m", low=0)
@@ -156,7 +159,11 @@ def track_scan(
     sweep = scan.end_time > scan.start_time
     if X_OB is not None and (
         _swings(track, X_OB, X_BB0, config)
-        or not (_moved(track.tried_at, X_OB, config) or (sweep and _came_to_rest(track, X_OB, X_BB0, config)))
+        or not (
+            _moved(track.tried_at, X_OB, config)
+            or _waited(track, scan.end_time, X_OB, config)
+            or (sweep and _came_to_rest(track, X_OB, X_BB0, config))
+        )
     ):
         return replace(track, health=replace(track.health, scans_used=track.health.scans_used + 1))
     cloud_S = prepare_cloud(scan, X_BS, X_BB0, config, class_model)
@@ -269,6 +276,17 @@ def _came_to_rest(track: Track, X_OB: RigidTransform, X_BB0: RigidTransform, con
     distance, angle = distance_and_angle(X_BB0)
     if distance > _REST_DISTANCE or angle > _REST_ANGLE:
         return False
+    return _stirred(track, X_OB, config)
+
+
+def _waited(track: Track, time: float, X_OB: RigidTransform, config: ScanMatcherConfig) -> bool:
+    """Whether the last measured pose is old, and the robot has moved since the last attempt."""
+    if config.max_wait is None or time - track.time < config.max_wait - 1e-9:
+        return False
+    return _stirred(track, X_OB, config)
+
+
+def _stirred(track: Track, X_OB: RigidTransform, config: ScanMatcherConfig) -> bool:
     distance, angle = distance_and_angle(track.tried_at.inverse() @ X_OB)
     return distance >= config.rest_distance or angle >= np.deg2rad(config.rest_angle_deg)
 

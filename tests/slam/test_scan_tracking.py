@@ -108,6 +108,18 @@ def test_a_robot_that_comes_to_rest_after_a_small_motion_makes_one_more_keyframe
         assert track.keyframe.health > 0.5
 
 
+def test_tracks_that_slide_unseen_are_followed_when_the_last_pose_is_old():
+    """It slides 6 cm a scan to the side, of which odometry sees nothing, and creeps 2 cm ahead."""
+    X_WB = [pose(-1.5 + 0.02 * i, -1.5 + 0.06 * i, 0.3) for i in range(16)]
+    X_OB = [pose(-1.5 + 0.02 * i, -1.5, 0.3) for i in range(16)]
+    patient, prompt = (follow(X_WB, ScanMatcherConfig(max_wait=wait), X_OB) for wait in (None, 0.5))
+    assert max(errors(patient, X_WB)) > 0.8
+    assert sorted({track.keyframe.index for track in prompt}) == [0, 5, 10, 15]
+    assert max(errors(prompt, X_WB)) < 0.3
+    still = follow(X_WB[:1] * 16, ScanMatcherConfig(max_wait=0.5), X_OB[:1] * 16)
+    assert {track.keyframe.index for track in still} == {0}
+
+
 def test_while_the_robot_tips_it_waits_for_a_calm_scan():
     """Odometry that is half a scan late is off by 4° in the middle of tipping; a pose found then would stay off."""
     pitches = np.deg2rad([0, 0, 0, -8, -16, -24, -24, -24, -24])
