@@ -236,15 +236,20 @@ def _grown(
 ) -> np.ndarray:
     """Kinds of the cells after obstacles, hazards and unseen ground have grown by the robot."""
     length, width = footprint
-    growth = (config.growth or 0.5 * float(np.hypot(length, width))) + config.margin
+    wide = 0.5 * float(np.hypot(length, width)) + config.margin
+    growth = config.growth + config.margin if config.growth else wide
     narrow = (config.steep_growth or 0.5 * width) + config.margin
     kind = np.where(ground | (solid != FREE), solid, UNKNOWN).astype(np.uint8)
     unseen = np.pad(kind == UNKNOWN, 1, constant_values=True)
     away = distance_transform_edt(~unseen)[1:-1, 1:-1] * cell
     kind[(kind == FREE) & ~trail & (away <= max(config.unknown_growth, cell))] = FENCE
-    grows = np.isin(solid, (OCCUPIED, WATER, HOT))
-    if grows.any():
+    grown, nearest_yet = kind.copy(), np.full(kind.shape, np.inf)
+    for grows, reach in ((solid == OCCUPIED, growth), (np.isin(solid, (WATER, HOT)), wide)):
+        if not grows.any():
+            continue
         away, nearest = distance_transform_edt(~grows, return_indices=True)
-        inside = away * cell <= np.where(trail, 0.5 * width, np.where(slopes, narrow, growth))
-        kind = np.where(inside & np.isin(kind, (FREE, FENCE)), solid[tuple(nearest)], kind)
-    return kind
+        inside = away * cell <= np.where(trail, 0.5 * width, np.where(slopes, narrow, reach))
+        closed = inside & (away < nearest_yet) & np.isin(kind, (FREE, FENCE))
+        grown[closed] = solid[tuple(nearest)][closed]
+        nearest_yet[closed] = away[closed]
+    return grown

@@ -12,7 +12,8 @@ class VoxelWorldConfig:
 
     # [m] Edge of a voxel (S0-h).
     voxel: float = quantity(0.1, unit="m", above=0)
-    # [m] Distance that the reference point keeps from obstacles and hazards; 0: half the diagonal of the footprint.
+    # [m] Distance that the reference point keeps from obstacles; 0: half the diagonal of the footprint, as always from
+    # water and heat, whose edges are less sure.
     growth: float = quantity(0.0, unit="m", low=0)
     # [m] The same on steep ground, where the robot does not turn; 0: half the width of the footprint.
     steep_growth: float = quantity(0.0, unit="m", low=0)

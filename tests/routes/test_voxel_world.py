@@ -67,6 +67,14 @@ def test_walls_and_water_close_cells_and_grow_by_the_robot(knows, crawler):
     assert kind_at(grid, 2.0, 3.0 - half_diagonal - 0.25) == FREE
 
 
+def test_water_keeps_the_whole_robot_away_where_obstacles_keep_off_less(crawler):
+    grid = make_route_grid(floor_with_pool(), crawler, VoxelWorldConfig(growth=0.3))
+    half_diagonal = 0.5 * np.hypot(*crawler.footprint) + 0.05
+    assert kind_at(grid, 0.4 + half_diagonal - 0.1, 0.0) == WATER
+    assert kind_at(grid, 2.0, 3.0 - half_diagonal) == FREE
+    assert kind_at(grid, 2.0, 3.0 - 0.25) in (OCCUPIED, FENCE)
+
+
 def test_routes_lead_past_the_pool_on_both_sides(crawler):
     grid = make_route_grid(floor_with_pool(), crawler)
     routes = find_routes(grid, np.array([-3, 0, 0]), np.array([3, 0]))
