@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from naraha.models.worlds import Solid, World
 from naraha.models.worlds.ramps import wedge
+from naraha.models.worlds.stair_hall import RUN
 from naraha.models.worlds.surfaces import CONCRETE_FLOOR
 
 # [m] Flat ground in front of the obstacle, which begins at x = 0, and the ground behind its edge.
 RUN_UP, LENGTH, WIDTH = 4.0, 5.0, 6.0
-# [m] Shortest and longest ramp of a ridge. Going of a stair, that of the stair hall, and its number of steps.
+# [m] Shortest and longest ramp of a ridge. Steps of a stair.
 _RUNS = (0.3, 0.6)
-GOING, _STEPS = 0.26, 14
+_STEPS = 14
 
 
 def ramp(slope: float, seed: int, friction: float) -> World:
@@ -57,11 +58,11 @@ def ridges(height: float, seed: int, friction: float) -> World:
 
 
 def stair(rise: float, seed: int, friction: float) -> World:
-    """A flight of steps up along x, each `rise` [m] high; the first is at x = 0."""
+    """A flight of steps up along x, each `rise` [m] high and as deep as in the stair hall; the first is at x = 0."""
     treads = []
     for i in range(_STEPS):
-        size, top = [GOING, WIDTH, rise], (i + 1) * rise
-        treads.append(_box(f"tread_{i}", size, [(i + 0.5) * GOING, 0, top - 0.5 * rise], [0, 0, 0], friction))
+        size, top = [RUN, WIDTH, rise], (i + 1) * rise
+        treads.append(_box(f"tread_{i}", size, [(i + 0.5) * RUN, 0, top - 0.5 * rise], [0, 0, 0], friction))
     return _world(friction, *treads)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from naraha.models.worlds import World
+from naraha.models.worlds.stair_hall import RISE, RUN
 from naraha.systems.config import quantity
 from naraha.systems.drive import PRIMITIVES, MotionPrimitivesConfig
 from naraha.systems.drive.motion_primitives import BACK, FORWARD
@@ -14,7 +15,7 @@ from naraha.systems.tracking import planar_pose, pose_error
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
-from .ability_worlds import GOING, GROUNDS
+from .ability_worlds import GROUNDS
 from .motions import make_motions
 from .station import StationConfig
 from .wiring import subsystem
@@ -34,8 +35,8 @@ class PrimitiveTrials:
     # [rad] Slope that is driven up, down and along. [m] Height of the ridges on rough ground.
     slope: float = quantity(0.3, unit="rad", low=0)
     ridges: float = quantity(0.06, unit="m", low=0)
-    # [m] Height of the steps of a stair, with a going of 0.26 m, that is driven up and down.
-    rise: float = quantity(0.18, unit="m", low=0)
+    # [m] Height of the steps of a stair, as deep as in the stair hall, that is driven up and down.
+    rise: float = quantity(RISE, unit="m", low=0)
     # [m], [deg] How far the start and the heading are off, at most.
     offset: float = quantity(0.1, unit="m", low=0)
     heading_deg: float = quantity(5.0, unit="deg", low=0, high=20)
@@ -81,7 +82,7 @@ def sites(config: PrimitiveTrials) -> dict[str, _Site]:
     """The grounds by their names."""
     every = tuple(range(8))
     # On a stair the robot lies on the edges of the treads.
-    edges = {"slope": float(np.arctan2(config.rise, GOING)), "height": config.rise}
+    edges = {"slope": float(np.arctan2(config.rise, RUN)), "height": config.rise}
     return {
         "flat": _Site("flat", "pitch_slope", 0.0, every),
         "slope_up": _Site("slope", "pitch_slope", config.slope, (0,), config.slope),

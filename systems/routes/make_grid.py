@@ -17,7 +17,7 @@ from ..config import check_config
 from ..errors import InputError
 from ..hazards.classes import HEAT
 from ..hazards.classes import WATER as WATER_POINT
-from ..traversability import IMPASSABLE, Ability, Mamdani, RiskMap, make_risk_map
+from ..traversability import IMPASSABLE, Ability, Mamdani, RiskMap, make_risk_map, too_high
 from .gaps import close_gaps
 from .route_grid import DOSE, FENCE, FREE, HOT, OCCUPIED, UNKNOWN, WATER, RouteGrid
 from .world_config import VoxelWorldConfig
@@ -128,7 +128,7 @@ def _judged(risk: RiskMap, ability: Ability | None, config: VoxelWorldConfig) ->
     seen = np.isfinite(risk.risk)
     if ability is None:
         return seen, seen & (risk.risk >= IMPASSABLE), np.where(seen & (risk.risk < IMPASSABLE), risk.risk, np.nan)
-    stepped = np.nan_to_num(risk.step, nan=0.0) > ability.step_threshold
+    stepped = too_high(risk.step, ability)
     straight = np.full(risk.risk.shape, np.nan)
     known = np.isfinite(risk.slope) & np.isfinite(risk.roughness)
     features = np.column_stack([risk.slope[known], np.zeros(known.sum()), risk.roughness[known]]).astype(float)

@@ -7,7 +7,7 @@ from .fuzzy_vfh_controller import FuzzyVfhController
 from .histogram import REASONS, RiskHistogram, make_histogram
 from .mamdani import FuzzyConfig, GradeTerms, Inference, Mamdani, SizeTerms, default_rules
 from .polar_risk_histogram import PolarRiskHistogram
-from .risk_map import IMPASSABLE, RiskMap, RiskMapConfig, make_risk_map
+from .risk_map import IMPASSABLE, RiskMap, RiskMapConfig, make_risk_map, too_high
 from .risk_memory import RiskGrid, RiskMemory, RiskMemoryConfig
 from .surface_cells import SurfaceCells, find_surface
 from .terrain_config import SurfaceConfig, TerrainConfig
@@ -45,5 +45,6 @@ __all__ = [
     "make_histogram",
     "make_risk_map",
     "read_ability",
+    "too_high",
     "write_ability",
 ]

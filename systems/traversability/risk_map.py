@@ -86,9 +86,9 @@ def make_risk_map(
     by three that takes out what single cells say); its slope counts once all as pitch, once all as roll and once half
     of each way, and the worst of the three is kept. Roughness is the variance of the distances to the plane (Eq. 4).
     A cell at a step above `step_threshold` is `IMPASSABLE`: the step itself, not the window around it, whose plane and
-    roughness leave such cells out; so is one above `step_limit` that is joined to it by others of that kind. A cell
-    whose window was seen by less than `min_coverage`, or that was itself not seen nor lies between two that were, is
-    NaN.
+    roughness leave such cells out; so is one above `step_limit` that is joined to it by others of that kind, at most
+    five cells away. A cell whose window was seen by less than `min_coverage`, or that was itself not seen nor lies
+    between two that were, is NaN.
 
     Args:
         points: (N, 3) [m], z up.
@@ -113,7 +113,7 @@ def make_risk_map(
     surface = find_surface(points, origin, shape, cell, clearance=config.surface.clearance, ceiling=config.ceiling)
     half = max(1, round(0.5 * (config.window / cell - 1)))
     step = find_steps(surface, config.surface)
-    stepped = _too_high(step, ability)
+    stepped = too_high(step, ability)
     slope, roughness, coverage, height = window_features(surface.low, surface.high, stepped, cell, half)
     inference, zero = Mamdani(ability.fuzzy), np.zeros(slope.size)
     flat, rough = slope.ravel().astype(float), roughness.ravel().astype(float)
@@ -129,7 +129,7 @@ def make_risk_map(
     return RiskMap(risk, height, slope, roughness, step, coverage, np.asarray(origin, float), cell)
 
 
-def _too_high(step: np.ndarray, ability: Ability) -> np.ndarray:
+def too_high(step: np.ndarray, ability: Ability) -> np.ndarray:
     """Where steps are too high for the robot, (nx, ny) bool, by two thresholds as Canny's edges: a single cell above
     the lower one may be noise, a row of them that goes on from a step that is surely too high is its end."""
     high = step > ability.step_threshold
