@@ -24,8 +24,10 @@ _LOWEST = 1.0
 class FrontierConfig:
     """What one look shows, and when it is worth its time."""
 
-    # [m] Distance up to which a look settles what is on the ground.
+    # [m] Distance up to which a look shows the ground, and up to which one look settles what is there: farther away
+    # near-infrared is weak and low things hide much, so there it takes two.
     view_range: float = quantity(5.0, unit="m", above=0)
+    sure_range: float = quantity(3.0, unit="m", above=0)
     # [m] Nearer ground is below what the sensors see.
     near_range: float = quantity(1.0, unit="m", low=0)
     # [deg] Field of view of a look: that of the depth camera (D415), which the sweep of the other cameras covers.
@@ -92,14 +94,25 @@ def hiding_cells(grid: RouteGrid, voxels: Voxels, config: FrontierConfig) -> np.
     return hiding
 
 
-def seen_cells(grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], config: FrontierConfig) -> np.ndarray:
-    """Cells that the views show, (nx, ny) bool."""
+def seen_cells(
+    grid: RouteGrid, hiding: np.ndarray, view: View, config: FrontierConfig, reach: float | None = None
+) -> np.ndarray:
+    """Cells that a look shows up to `reach` [m], the view range when not given, (nx, ny) bool."""
     seen, half = np.zeros(grid.shape, bool), 0.5 * np.deg2rad(config.fov_deg)
-    for view in views:
-        x, y = (np.array([view.x, view.y]) - grid.origin) / grid.cell
-        near, reach = config.near_range / grid.cell, config.view_range / grid.cell
-        mark_view(seen, hiding, float(x), float(y), view.heading - half, view.heading + half, near, reach)
+    x, y = (np.array([view.x, view.y]) - grid.origin) / grid.cell
+    near, far = config.near_range / grid.cell, (config.view_range if reach is None else reach) / grid.cell
+    mark_view(seen, hiding, float(x), float(y), view.heading - half, view.heading + half, near, far)
     return seen
+
+
+def settled_cells(grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], config: FrontierConfig) -> np.ndarray:
+    """Cells that one of the looks showed from within the sure range, or two from farther away, (nx, ny) bool."""
+    settled, once = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
+    for view in views:
+        seen = seen_cells(grid, hiding, view, config)
+        settled |= (seen & once) | seen_cells(grid, hiding, view, config, min(config.sure_range, config.view_range))
+        once |= seen
+    return settled
 
 
 def open_questions(
@@ -107,20 +120,20 @@ def open_questions(
 ) -> np.ndarray:
     """What looks could tell of each cell [bit], (nx, ny) float32.
 
-    Nothing where a view has looked already, so a look that was taken is never proposed again and a survey comes to its
-    end, also where a look did not show what was hoped for; nothing behind walls, far from all ground that is known.
+    Nothing where looks have settled it, so that no look is taken more than twice and a survey comes to its end, also
+    where looks did not show what was hoped for; nothing behind walls, far from all ground that is known.
     """
     near = np.isfinite(grid.height)
     if config.beyond > 0 and near.any():
         near = binary_dilation(near, iterations=max(round(config.beyond / grid.cell), 1))
     worth = np.ones(grid.shape, np.float32) if interest is None else np.asarray(interest, np.float32)
-    asked = near & ~hiding & (worth >= config.min_interest) & ~seen_cells(grid, hiding, views, config)
+    asked = near & ~hiding & (worth >= config.min_interest) & ~settled_cells(grid, hiding, views, config)
     return np.where(asked, worth, np.float32(0))
 
 
 def gain_of(view: View, questions: np.ndarray, grid: RouteGrid, hiding: np.ndarray, config: FrontierConfig) -> float:
     """What a look tells of the `open_questions` [bit m²]."""
-    return float(questions[seen_cells(grid, hiding, [view], config)].sum()) * grid.cell**2
+    return float(questions[seen_cells(grid, hiding, view, config)].sum()) * grid.cell**2
 
 
 def find_goals(

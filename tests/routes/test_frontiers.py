@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from naraha.systems.errors import ConfigError, InputError
 from naraha.systems.routes import FREE, OCCUPIED, RouteGrid, Voxels
-from naraha.systems.routes.frontiers import FrontierConfig, View, find_goals, hiding_cells, seen_cells
+from naraha.systems.routes.frontiers import (
+    FrontierConfig,
+    View,
+    find_goals,
+    hiding_cells,
+    open_questions,
+    seen_cells,
+    settled_cells,
+)
 
 CONFIG = FrontierConfig(view_range=2.0, near_range=0.0, fov_deg=90, min_gain=0.5, min_value=0.0)
 
@@ -23,7 +31,7 @@ def goals_in(kind, pose=(1.0, 1.0, 0.0), views=(), config=CONFIG):
 def test_one_look_covers_its_sector_and_nothing_behind_walls():
     kind = hall()
     kind[30, 10:40] = OCCUPIED
-    seen = seen_cells(RouteGrid.from_kind(kind, 0.1), kind == OCCUPIED, [View(2.05, 2.5, 0.0)], CONFIG)
+    seen = seen_cells(RouteGrid.from_kind(kind, 0.1), kind == OCCUPIED, View(2.05, 2.5, 0.0), CONFIG)
     centres = RouteGrid.from_kind(kind, 0.1).centre_of(np.argwhere(seen))
     away = centres - [2.05, 2.5]
     assert (np.linalg.norm(away, axis=1) <= 2.0 + 0.1).all()
@@ -45,8 +53,25 @@ def test_looking_at_the_best_goal_again_and_again_sees_the_hall_and_ends():
         views.append(view)
         pose = np.array([view.x, view.y, view.heading])
         assert len(views) < 60
-    seen = seen_cells(grid, kind == OCCUPIED, views, CONFIG)
+    seen = settled_cells(grid, kind == OCCUPIED, views, CONFIG)
     assert seen[kind == FREE].mean() > 0.9
+
+
+def test_far_ground_that_one_look_did_not_settle_is_looked_at_once_more_and_not_a_third_time():
+    kind = hall()
+    interest = np.zeros(kind.shape, np.float32)
+    interest[35:45, 20:30] = 1.0
+    config = replace(CONFIG, view_range=4.0, sure_range=1.5)
+    grid = RouteGrid.from_kind(kind, 0.1)
+
+    def worth(*views):
+        return open_questions(grid, kind == OCCUPIED, views, interest, config).sum()
+
+    far, half_near, near = (View(x, 2.5, 0.0) for x in (1.0, 2.5, 3.0))
+    assert worth(far) == worth() == interest.sum()
+    assert worth(far, far) == 0
+    assert 0 < worth(half_near) < interest.sum()
+    assert worth(near) == 0
 
 
 def test_what_cannot_be_reached_is_no_goal():
