@@ -16,6 +16,9 @@ app = typer.Typer(
     help="Survey robots that go where people cannot: simulate, map, measure.",
 )
 
+Scenario = Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")]
+ScenarioOption = Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")]
+Truth = Annotated[Path | None, typer.Option("--truth", help="Poses (TUM or KITTI form), to compare with.")]
 Settings = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Change one scenario value.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for what the mission leaves.")]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of all noise; the same seed, the same result.")]
@@ -41,10 +44,8 @@ def naraha(
 
 @app.command()
 def survey(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stair_hall_loop",
-    earlier: Annotated[
-        Path | None, typer.Option("--earlier", metavar="DIR", help="A survey to bring up to date.")
-    ] = None,
+    scenario: Scenario = "stair_hall_loop",
+    earlier: Earlier = None,
     operator: Annotated[str | None, typer.Option("--operator", help="Who chooses the ways: auto or prompt.")] = None,
     settings: Settings = None,
     out: Out = None,
@@ -71,7 +72,7 @@ def survey(
 
 @app.command()
 def traverse(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "e2827",
+    scenario: Scenario = "e2827",
     robot: Annotated[str | None, typer.Option("--robot", help="pioneer, amphibious or crawler.")] = None,
     world: Annotated[str | None, typer.Option("--world", help="Another name for the scenario.")] = None,
     settings: Settings = None,
@@ -115,7 +116,7 @@ def calibrate(
 
 @app.command()
 def recover(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "stuck",
+    scenario: Scenario = "stuck",
     stuck: Annotated[int | None, typer.Option("--stuck", min=1, max=5, help="Which of the five ways.")] = None,
     operator: Annotated[str | None, typer.Option("--operator", help="Who chooses the move: auto or prompt.")] = None,
     settings: Settings = None,
@@ -138,7 +139,7 @@ def recover(
 
 @app.command()
 def illuminate(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "construction_hall",
+    scenario: Scenario = "construction_hall",
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -159,7 +160,7 @@ def learn(
     map_file: Annotated[Path, typer.Argument(metavar="MAP", help="A semantic map, such as survey_map.ply.")],
     start: Annotated[str | None, typer.Option("--start", metavar="X,Y,DEG", help="Where the robot stands.")] = None,
     goal: Annotated[str | None, typer.Option("--goal", metavar="X,Y", help="Where it is to go.")] = None,
-    scenario: Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")] = "learn",
+    scenario: ScenarioOption = "learn",
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -185,8 +186,8 @@ def _numbers(option: str, text: str | None) -> list[float] | None:
 @app.command("map")
 def map_scans(
     scans: Annotated[Path, typer.Argument(help="A folder of .ply, .pcd, .bin or .npz scans, or one of them.")],
-    scenario: Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")] = "recorded",
-    truth: Annotated[Path | None, typer.Option("--truth", help="Poses (TUM or KITTI form), to compare with.")] = None,
+    scenario: ScenarioOption = "recorded",
+    truth: Truth = None,
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -205,8 +206,8 @@ def map_scans(
 @app.command()
 def merge(
     scans: Annotated[Path, typer.Argument(help="A folder of .ply, .pcd, .bin or .npz scans, one a viewpoint.")],
-    scenario: Annotated[str, typer.Option("--scenario", help="A shipped scenario or a YAML file.")] = "viewpoints",
-    truth: Annotated[Path | None, typer.Option("--truth", help="Poses (TUM or KITTI form), to compare with.")] = None,
+    scenario: ScenarioOption = "viewpoints",
+    truth: Truth = None,
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
@@ -225,7 +226,7 @@ def merge(
 
 @app.command()
 def extrinsics(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "extrinsics",
+    scenario: Scenario = "extrinsics",
     settings: Settings = None,
     out: Out = None,
     seed: Seed = None,
