@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from naraha.systems.snake.recovery_motion import rotation_by, rotation_vector
-from naraha.systems.snake.recovery_run import RecoveryStatus
+from naraha.systems.snake.recovery_state import RecoveryStatus
 
 
 @dataclass

@@ -20,7 +20,8 @@ from .recovery_planner import (
     propose,
     rank,
 )
-from .recovery_run import RecoveryRun, RecoveryStatus, idle_run, start_run, step_run
+from .recovery_run import start_run, step_run
+from .recovery_state import RecoveryRun, RecoveryStatus, idle_run
 from .shift_control import NO_PATH, ShiftControl, ShiftControlConfig
 from .snake_body import SnakeBody
 from .snake_pilot import MOVES, Move, SnakePilot, SnakePilotConfig

@@ -10,7 +10,8 @@ from ..config import check_config
 from ..ports import eval_typed, weak_method
 from .null_space_config import NullSpaceConfig
 from .recovery_motion import RecoveryCommand
-from .recovery_run import RecoveryRun, RecoveryStatus, idle_run, start_run, step_run
+from .recovery_run import start_run, step_run
+from .recovery_state import RecoveryRun, RecoveryStatus, idle_run
 from .snake_body import SnakeBody
 
 

@@ -34,6 +34,11 @@ class RecoveryCommand:
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     duration: float | None = None
 
+    @property
+    def joints(self) -> slice:
+        """Of the segment, among all of the body's."""
+        return slice(2 * self.first_unit, 2 * self.last_unit + 1)
+
     def __deepcopy__(self, memo: dict) -> "RecoveryCommand":
         return self
 

@@ -3,7 +3,7 @@ import pytest
 from naraha.diagrams.recover_drawing import draw_recovery
 from naraha.diagrams.recover_metrics import COLUMNS, control_pose
 from naraha.systems.snake.recovery_motion import rotation_by, rotation_vector
-from naraha.systems.snake.recovery_run import RecoveryStatus
+from naraha.systems.snake.recovery_state import RecoveryStatus
 
 
 def test_the_pose_of_the_control_point_is_its_reference_and_its_error():
