@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..config import check_config, quantity
+from ..errors import ConfigError
 from ..pose_graph import LOOP, REGISTRATION, PoseGraph, RobustLoopsConfig, decide_loops
 from .correlative_search import CorrelativeSearchConfig, SearchImage, correlative_search, make_search_image
 from .laser_scan import LaserScan
@@ -83,11 +84,17 @@ class GraphMapper:
         keyframes: as they came. poses: of all keyframes by the graph, (K, 3), in M, the axes of the first.
         steps: for every scan, its keyframe and its pose in it, (keyframe, (3,)).
         loops: (i, j, X_ij, information) of all candidates that fitted; accepted: which of them the graph believes.
+
+    Raises:
+        ConfigError: a value of `config` is out of range, or its localiser is the paper's.
     """
 
     def __init__(self, config: GraphMappingConfig | None = None, *, X_BS: np.ndarray | None = None, seed: int = 0):
         self.config = config or GraphMappingConfig()
         check_config(self.config, key="graph_mapping")
+        if self.config.localizer.method == "paper":
+            problem = "it makes no likelihood field, which loops are matched to"
+            raise ConfigError(problem, key="graph_mapping.localizer.method", value="paper", valid="naraha")
         self._X_BS, self._seed = X_BS, seed
         self._known: Localization = start_localization(self.config.localizer)
         self._next = OccupancyGrid.empty(self.config.localizer.occupancy)

@@ -250,18 +250,21 @@ def _is_new(known: Localization, config: LocalizerConfig) -> bool:
 def _with_keyframe(
     known: Localization, points: np.ndarray, X_BS: np.ndarray | None, config: LocalizerConfig
 ) -> Localization:
-    """Enters a scan into the map, and makes its field anew where it changed."""
+    """Enters a scan into the map, and makes its field anew where it changed; the paper's strategy has no use for it."""
     X_BS = np.zeros(3) if X_BS is None else np.asarray(X_BS, np.float64)
     X_MS = compose(known.pose, X_BS)
     p_SP = transform(between(X_BS, np.zeros(3)), points)
     grid = known.grid.with_scan(p_SP, X_MS, config.occupancy, number=len(known.keyframes))
-    p_MP = transform(X_MS, p_SP)
-    low, high = np.minimum(p_MP.min(axis=0), X_MS[:2]), np.maximum(p_MP.max(axis=0), X_MS[:2])
+    likelihood = known.likelihood
+    if config.method != "paper":
+        p_MP = transform(X_MS, p_SP)
+        low, high = np.minimum(p_MP.min(axis=0), X_MS[:2]), np.maximum(p_MP.max(axis=0), X_MS[:2])
+        likelihood = make_field(grid, config.reach, before=likelihood, changed=(low, high))
     return replace(
         known,
         relative=_JOINED,
         grid=grid,
-        likelihood=make_field(grid, config.reach, before=known.likelihood, changed=(low, high)),
+        likelihood=likelihood,
         keyframes=np.concatenate([known.keyframes, known.pose[None]]),
         keyframe_covariances=np.concatenate([known.keyframe_covariances, known.covariance[None]]),
     )

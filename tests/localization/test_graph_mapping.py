@@ -56,6 +56,13 @@ def test_the_search_finds_the_best_of_the_whole_lattice(seed):
     assert abs(difference(truth, found)[2]) < np.radians(1.1)
 
 
+def test_loops_need_a_localizer_that_makes_a_likelihood_field():
+    config = GraphMappingConfig()
+    config.localizer.method = "paper"
+    with pytest.raises(ConfigError, match=r"graph_mapping\.localizer\.method"):
+        GraphMapper(config)
+
+
 def test_a_place_that_looks_alike_has_a_rival():
     """In a bare corridor the scan fits anywhere along it."""
     image = image_of(rectangle(-8, -1, 8, 1))

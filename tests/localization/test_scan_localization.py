@@ -148,8 +148,10 @@ def test_mapping_while_localising_closes_on_itself_in_a_room():
 
 def test_the_strategy_of_the_paper_maps_on_the_way_though_much_of_a_scan_is_not_in_the_map_yet():
     config = LocalizerConfig(method="paper", mapping=True, max_range=4.0)
-    errors, _ = run(room(), None, [4, 1.2, 0], IN_CIRCLE, config, 0)
+    errors, all_known = run(room(), None, [4, 1.2, 0], IN_CIRCLE, config, 0)
     assert np.hypot(*errors[:, :2].T).max() < 0.2
+    assert len(all_known[-1].keyframes) > 10
+    assert all(known.likelihood is all_known[0].likelihood for known in all_known)  # costs time, and is not used
 
 
 def test_mapping_a_bare_corridor_does_not_hold_on_to_its_own_noise():
