@@ -203,7 +203,7 @@ def run_products(
             mission.options.console.print("too few points for a map of the illuminance", markup=False)
             return
         where, values = np.array([[m.x, m.y] for m in measured]), np.array([m.illuminance for m in measured])
-        field = fit_field(where, values)
+        field = fit_field(where, values, sight=plan.sight)
         write_map(mission.path("illuminance_map.csv"), plan, field, scenario.map_spacing)
         figure = draw_illuminance(plan, field, spacing=scenario.map_spacing, windows=scenario.hall.windows)
         save_figure(figure, mission.path("illuminance_map.png"))

@@ -9,6 +9,7 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, label
 
 from ..errors import PlanError
+from .ray_kernels import sight_table
 
 _MOST_CELLS = 50_000_000
 
@@ -57,6 +58,13 @@ class FloorPlan:
         inside = ((cells >= 0) & (cells < self.occupied.shape)).all(axis=-1)
         row, col = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
         return ~inside | self.occupied[row, col]
+
+    def sight(self, eyes: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """(n, m) whether no wall is between the points `eyes` (n, 2) and `targets` (m, 2) in W [m]."""
+        cells = [
+            (np.asarray(points, float).reshape(-1, 2) - self.origin) / self.resolution for points in (eyes, targets)
+        ]
+        return sight_table(self.occupied, *cells, 0.0, np.inf)
 
     def clearance(self) -> np.ndarray:
         """(rows, cols) distance from every cell's middle to a wall's face or the edge of the plan [m]; 0 in walls."""

@@ -80,6 +80,15 @@ def test_points_and_cells_are_inverse():
     assert (plan.cell_of(plan.centre_of(cells)) == cells).all()
 
 
+def test_a_wall_hides_what_is_behind_it_and_an_opening_shows_it(tmp_path):
+    """A wall of 0.2 m at x = 3 up to y = 2, seen from both sides of it and from above its end."""
+    plan = load_floor_plan(written(tmp_path, more="- [[3, 0], [3, 2]]"))
+    points = np.array([[1.0, 1.0], [5.0, 1.0], [1.0, 3.5], [2.85, 1.0]])
+    expected = [[1, 0, 1, 1], [0, 1, 1, 0], [1, 1, 1, 1], [1, 0, 1, 1]]
+    np.testing.assert_array_equal(plan.sight(points, points), np.array(expected, bool))
+    assert plan.sight(points[:1], points).shape == (1, 4)
+
+
 @pytest.mark.parametrize("name", shipped_plans())
 def test_shipped_plans_can_be_used(name):
     plan = load_floor_plan(name)

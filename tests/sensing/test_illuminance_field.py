@@ -58,6 +58,46 @@ def test_under_lamps_it_is_nearer_than_the_nearest_point():
     assert np.abs(mean - true(points)).mean() < 0.3 * np.abs(nearest - true(points)).mean()
 
 
+def same_side(eyes, points):
+    """A wall at x = 5."""
+    return (eyes[:, None, 0] < 5) == (points[:, 0] < 5)
+
+
+def test_what_a_wall_hides_says_nothing_about_the_light_here():
+    """A dim room beside a bright one; right before the wall the lamps behind it count for nothing."""
+    points = np.array([[x, y] for x in (1.0, 3.0, 7.0, 9.0) for y in (1.0, 4.0, 7.0)])
+    values = np.where(points[:, 0] < 5, 50.0, 500.0) + points[:, 1]
+    before_the_wall, true = np.array([[4.8, 4.0], [5.2, 4.0]]), [54.0, 504.0]
+    through, _ = fit_field(points, values).at(before_the_wall)
+    field = fit_field(points, values, sight=same_side)
+    mean, deviation = field.at(before_the_wall)
+    assert np.abs(mean - true).max() < 0.4 * np.abs(through - true).max()
+    left = points[:, 0] < 5
+    alone = IlluminanceField(points[left], values[left], field.mean, field.amplitude, field.length, field.noise)
+    assert alone.at(before_the_wall[:1]) == (pytest.approx(mean[:1]), pytest.approx(deviation[:1]))
+
+
+def test_where_no_point_is_seen_it_is_the_mean_and_as_unsure_as_the_field_varies():
+    points, values = drawn(3.0, n=20)
+    field = fit_field(points, values, sight=lambda eyes, others: np.zeros((len(eyes), len(others)), bool))
+    mean, deviation = field.at(points)
+    assert (mean == field.mean).all()
+    assert (deviation == field.amplitude).all()
+
+
+def test_rooms_that_do_not_see_each_other_are_independent_and_one_room_has_the_joint_density():
+    points, values = drawn(2.0, n=30)
+
+    def density(which, sight):
+        return IlluminanceField(points[which], values[which], 200.0, 30.0, 2.0, 0.1, sight).log_likelihood()
+
+    left, everything = points[:, 0] < 5, np.ones(30, bool)
+    assert 5 < left.sum() < 25
+    apart = density(left, None) + density(~left, None)
+    assert density(everything, same_side) == pytest.approx(apart, rel=1e-9)
+    assert abs(density(everything, None) - apart) > 1.0
+
+
 @pytest.mark.parametrize("values", [[1.0, 2.0], [1.0, 2.0, float("nan")], [1.0, 2.0, 3.0, 4.0]])
 def test_too_little_is_refused(values):
     with pytest.raises(ConfigError, match="no field"):
