@@ -61,10 +61,10 @@ class FloorPlan:
 
     def sight(self, eyes: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """(n, m) whether no wall is between the points `eyes` (n, 2) and `targets` (m, 2) in W [m]."""
-        cells = [
+        a, b = (
             (np.asarray(points, float).reshape(-1, 2) - self.origin) / self.resolution for points in (eyes, targets)
-        ]
-        return sight_table(self.occupied, *cells, 0.0, np.inf)
+        )
+        return sight_table(self.occupied, a, b, 0.0, np.inf)
 
     def clearance(self) -> np.ndarray:
         """(rows, cols) distance from every cell's middle to a wall's face or the edge of the plan [m]; 0 in walls."""
