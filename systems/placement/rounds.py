@@ -115,7 +115,7 @@ def run_rounds(
     problem that asks for more where it failed (`learn_from`), `retries` times at most.
 
     Args:
-        verify: called with the plan, a placement and the places of its boxes.
+        verify: called with the plan, a placement and the places of its boxes, once for each placement.
         map_: as the built-in, with `verify` and three sequences.
         report: called after every round.
 
@@ -128,6 +128,7 @@ def run_rounds(
         raise ConfigError("wrong length or order", key="rounds.tighten", value=config.tighten, valid="least, most")
     pending = [round(share * len(problem.sites)) for share in config.shares]
     rounds: list[Round] = []
+    driven: dict[tuple[bytes, ...], Verification] = {}
     before = None
     for attempt in range(config.retries + 1):
         evolution = replace(config.evolution, seed=config.evolution.seed + attempt)
@@ -135,9 +136,13 @@ def run_rounds(
         for least in pending:
             before = evolve(problem, evolution, least=least, before=before)
             placements.append(before)
-        plans, boxes = [problem.plan] * len(placements), [placement.sites for placement in placements]
+        # Two bounds may give one placement, and a later attempt an earlier one.
+        new = {_what_is_driven(p): p for p in placements if _what_is_driven(p) not in driven}
+        runs = iter(map_(verify, [problem.plan] * len(new), new.values(), [p.sites for p in new.values()]))
         failed = []
-        for least, placement, seen in zip(pending, placements, map_(verify, plans, placements, boxes), strict=True):
+        for least, placement in zip(pending, placements, strict=True):
+            what = _what_is_driven(placement)
+            seen = driven[what] if what in driven else driven.setdefault(what, next(runs))
             rounds.append(Round(least, placement, seen))
             if report is not None:
                 report(rounds[-1])
@@ -148,6 +153,11 @@ def run_rounds(
             break
         pending = failed
     return Rounds(tuple(rounds), problem)
+
+
+def _what_is_driven(placement: Placement) -> tuple[bytes, ...]:
+    """Equal for placements that are the same to drive."""
+    return placement.order.tobytes(), placement.route.tobytes(), placement.sites.tobytes()
 
 
 def learn_from(
