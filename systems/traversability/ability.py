@@ -36,6 +36,9 @@ class Ability:
     # [m], [rad/s] Fastest that it is driven.
     max_speed: float = quantity(0.5, unit="m/s", above=0)
     max_yaw_rate: float = quantity(0.8, unit="rad/s", above=0)
+    # [m/rad] How far it slides along its axis while it turns on the spot, times the sine of its pitch: tracks that skid
+    # sideways hold little lengthwise.
+    turn_slide: float = quantity(0.0, unit="m/rad", low=0)
 
 
 def read_ability(path: Path) -> Ability:

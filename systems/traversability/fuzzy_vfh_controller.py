@@ -63,7 +63,8 @@ class FuzzyVfhController(LeafSystem):
     changes the speed and not the path.
 
     - `histogram` (`RiskHistogram`): of the ground ahead.
-    - `X_MB` (RigidTransform): pose of the base in the map.
+    - `X_MB` (RigidTransform): pose of the base in the map. On a slope that a turn would slide it down, a robot with
+      `turn_slide` backs off first.
     - `goal` (2): x, y in M [m].
     - `risk_memory` (`RiskGrid`), optional: may be left unconnected. Then it heads for the goal, cannot leave dead ends,
       and "no way" means only that no candidate came up in a full turn.
@@ -107,7 +108,8 @@ class FuzzyVfhController(LeafSystem):
     def _Decide(self, context: Context, state: State) -> EventStatus:
         held, config = self._held(context), self._config
         histogram = eval_typed(self, context, "histogram", RiskHistogram)
-        pose = planar_pose(eval_typed(self, context, "X_MB", RigidTransform))
+        X_MB = eval_typed(self, context, "X_MB", RigidTransform)
+        pose = planar_pose(X_MB)
         goal = eval_typed(self, context, "goal", np.ndarray)
         for name, value in (("goal", goal), ("X_MB", pose)):
             if not np.isfinite(value).all():
@@ -126,12 +128,13 @@ class FuzzyVfhController(LeafSystem):
                 field, key = self._spread(grid, goal, pose, held), wanted
             if field is not None:
                 way = find_way(field, pose[:2])
-            reach = 0.5 * math.hypot(*self._ability.footprint) + max(0.3, config.beside)
+            reach = 0.5 * math.hypot(*self._ability.footprint) + max(config.longest_back, config.beside)
             obstacles = obstacles_near(grid, pose, reach)
         yaw_rate = np.nan
         if self.GetInputPort("twist_command").HasValue(context):
             yaw_rate = float(eval_typed(self, context, "twist_command", np.ndarray)[1])
-        sight = Sight(context.get_time(), pose, goal.copy(), histogram, field, index, way, obstacles, yaw_rate)
+        now, downhill = context.get_time(), downhill_of(X_MB)
+        sight = Sight(now, pose, goal.copy(), histogram, field, index, way, obstacles, yaw_rate, downhill)
         after, command = decide(held.state, sight, self._ability, config)
         state.get_mutable_abstract_state(0).set_value(_Held(after, command, field, key))
         return EventStatus.Succeeded()
@@ -166,6 +169,13 @@ class FuzzyVfhController(LeafSystem):
 
     def _CalcStatus(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._held(context).state.status)
+
+
+def downhill_of(X_MB: RigidTransform) -> tuple[float, float]:
+    """Where it goes down below the robot, in its heading frame, as long as the sine of its tilt [-]."""
+    forward, _, up = X_MB.rotation().matrix().T
+    c, s = forward[:2] / max(float(np.hypot(*forward[:2])), 1e-9)
+    return float(c * up[0] + s * up[1]), float(c * up[1] - s * up[0])
 
 
 def obstacles_near(grid: RiskGrid, pose: np.ndarray, reach: float) -> np.ndarray:

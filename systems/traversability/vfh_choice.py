@@ -11,6 +11,10 @@ from .vfh_state import Sight, VfhConfig
 _VETO = (0.15, 0.7)
 # [m] An obstacle's cell within so much of the robot's edge may be one that it only touches.
 _RIM = 0.1
+# [m] Deeper than this by a turn is farther in: less is the noise of poses.
+_DEEPER = 0.02
+# [m] Places to turn are tried so far apart.
+_BACK_STEP = 0.1
 
 
 def wrapped(angle: float) -> float:
@@ -62,19 +66,46 @@ def open_ahead(sight: Sight, direction: float) -> bool:
     return too_near or bool(np.isfinite(sight.field.line(start, end)[0]))
 
 
-def room_to_turn(obstacles: np.ndarray, footprint: list[float], turn: float) -> bool:
-    """Whether a rectangle, length × width around the origin, can turn by `turn` [rad] without touching an obstacle.
+def turn_depth(
+    obstacles: np.ndarray, footprint: list[float], turn: float, slide: tuple[float, float] = (0.0, 0.0)
+) -> float:
+    """How far into an obstacle a rectangle, length × width around the origin, gets while it turns by `turn` [rad], [m];
+    0 or less where it has room.
 
     Args:
-        obstacles: (n, 2) [m], in the rectangle's frame. What is inside it already does not count.
+        obstacles: (n, 2) [m], in the rectangle's frame. One that is less than `_RIM` inside it may not get farther in;
+            what is farther in does not count: the robot stands on that already.
+        slide: (2,) [m/rad], downhill: how far the rectangle slides while it turns and is aligned with it. It slides
+            along its axis, by the part of this that is along it.
     """
-    rest = obstacles[~_inside(obstacles, footprint)]
+    depth = _depth(obstacles, footprint)
+    rest, depth = obstacles[depth <= _RIM], depth[depth <= _RIM]
     # At a corner 3 cm an angle, below the size of a cell.
     step = 0.06 / math.hypot(*footprint)
     angles = np.linspace(0, turn, 2 + int(abs(turn) / step))[:, None]
     c, s = np.cos(angles), np.sin(angles)
-    x, y = rest.T
-    return not _inside(np.stack([c * x + s * y, c * y - s * x], axis=-1), footprint).any()
+    along = (c * slide[0] + s * slide[1]) * abs(turn) / (len(angles) - 1)
+    gone = np.cumsum(np.vstack([np.zeros((1, 2)), (along * np.hstack([c, s]))[:-1]]), axis=0)
+    x, y = rest[:, 0] - gone[:, :1], rest[:, 1] - gone[:, 1:]
+    then = _depth(np.stack([c * x + s * y, c * y - s * x], axis=-1), footprint)
+    return float(np.max(then - np.where(depth > 0, depth + _DEEPER, 0), initial=-np.inf))
+
+
+def place_to_turn(
+    obstacles: np.ndarray, footprint: list[float], turn: float, slide: tuple[float, float], farthest: float
+) -> float:
+    """How far to back up [m], at most `farthest`, to where a turn has room, else to where it gets least deep into an
+    obstacle; see `turn_depth`. The strip behind is free as far as that."""
+    best, place = np.inf, 0.0
+    for back in np.arange(0, farthest + 1e-9, _BACK_STEP):
+        if back > 0 and not room_behind(obstacles, footprint, back):
+            break
+        depth = turn_depth(obstacles + np.array([back, 0.0]), footprint, turn, slide)
+        if depth < best - _DEEPER:
+            best, place = depth, float(back)
+        if depth <= 0:
+            break
+    return place
 
 
 def room_behind(obstacles: np.ndarray, footprint: list[float], distance: float = 0.15) -> bool:
@@ -106,5 +137,6 @@ def _angle_between(directions: np.ndarray, angle: float) -> np.ndarray:
     return np.abs(np.remainder(directions - angle + np.pi, 2 * np.pi) - np.pi)
 
 
-def _inside(points: np.ndarray, footprint: list[float]) -> np.ndarray:
-    return (np.abs(points) < 0.5 * np.array(footprint)).all(axis=-1)
+def _depth(points: np.ndarray, footprint: list[float]) -> np.ndarray:
+    """How far in a rectangle points (..., 2) are [m], negative outside."""
+    return (0.5 * np.array(footprint) - np.abs(points)).min(axis=-1)

@@ -6,7 +6,16 @@ import numpy as np
 
 from .ability import Ability
 from .risk_map import IMPASSABLE
-from .vfh_choice import best_direction, nearest_to_goal, nearness, open_ahead, room_behind, room_to_turn, wrapped
+from .vfh_choice import (
+    best_direction,
+    nearest_to_goal,
+    nearness,
+    open_ahead,
+    place_to_turn,
+    room_behind,
+    turn_depth,
+    wrapped,
+)
 from .vfh_state import ARRIVED, BACKING, DRIVING, LOOKING, NO_WAY, TURNING, Command, Sight, VfhConfig, VfhState
 from .wavefront import ALWAYS, IF_UNSEEN
 
@@ -132,8 +141,22 @@ def _backed_enough(state: VfhState, sight: Sight, ability: Ability, config: VfhC
     x, y, since = state.back_from
     gone = float(np.hypot(sight.pose[0] - x, sight.pose[1] - y))
     late = sight.time - since > 2 * state.back_to / config.back_speed + 1.0
-    for_room = state.backed and room_to_turn(sight.obstacles, ability.footprint, state.side * np.pi / 2)
+    level = not _slides(sight, ability, 0.5 * config.longest_slide)
+    for_room = state.backed and level and _room_to_turn(sight, state.side * np.pi / 2, ability)
     return gone >= state.back_to or late or for_room or not room_behind(sight.obstacles, ability.footprint)
+
+
+def _slide(sight: Sight, ability: Ability) -> tuple[float, float]:
+    """Downhill, as far as a turn slides the robot that is aligned with it [m/rad]."""
+    return ability.turn_slide * sight.downhill[0], ability.turn_slide * sight.downhill[1]
+
+
+def _slides(sight: Sight, ability: Ability, limit: float) -> bool:
+    return float(np.hypot(*_slide(sight, ability))) > limit
+
+
+def _room_to_turn(sight: Sight, turn: float, ability: Ability) -> bool:
+    return turn_depth(sight.obstacles, ability.footprint, turn, _slide(sight, ability)) <= 0
 
 
 def _back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) -> Decision:
@@ -251,22 +274,43 @@ def _steer(
 
 
 def _turn(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig, status: str) -> Decision:
-    """Turns on the spot towards `wanted` [rad, heading frame]; backs up first where it would touch something.
+    """Turns on the spot towards `wanted` [rad, heading frame]; backs up first where it would touch something or slide.
 
     A turn keeps its side until the direction is less than a right angle away, so that a direction straight behind does
     not make it turn to and fro.
     """
     side = state.side if state.side and abs(wanted) > np.pi / 2 else float(np.sign(wanted) or 1.0)
-    if not room_to_turn(sight.obstacles, ability.footprint, side * min(abs(wanted), np.pi / 2)):
-        other = room_to_turn(sight.obstacles, ability.footprint, -side * np.pi / 2)
-        if not state.backed and room_behind(sight.obstacles, ability.footprint):
-            return _back_up(replace(state, side=side, backed=True, aim=np.nan), sight, config.longest_back, config)
-        if other and abs(wanted) > np.pi / 2:
+    turn, slide = side * min(abs(wanted), np.pi / 2), _slide(sight, ability)
+    off = _off_the_slope(replace(state, side=side), sight, ability, config)
+    if off is not None:
+        return off
+    if not _room_to_turn(sight, turn, ability):
+        back = place_to_turn(sight.obstacles, ability.footprint, turn, slide, config.longest_back)
+        if not state.backed and back > 0:
+            return _back_up(replace(state, side=side, backed=True, aim=np.nan), sight, back, config)
+        if abs(wanted) > np.pi / 2 and _room_to_turn(sight, -side * np.pi / 2, ability):
             side = -side
     if state.status not in (TURNING, LOOKING):
         state = replace(state, anchor=(*state.anchor[:3], sight.time))
     rate = float(np.clip(config.turn_gain * abs(wanted), config.min_turn_rate, ability.max_yaw_rate))
     return replace(state, status=status, side=side, aim=np.nan), Command(omega_r=side * rate)
+
+
+def _off_the_slope(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision | None:
+    """Backs up from where a turn would slide it to where it does not half as far, at most by `longest_back`.
+
+    What is ahead is marked: a way that bends there is none.
+    """
+    if not _slides(sight, ability, config.longest_slide) or not room_behind(sight.obstacles, ability.footprint):
+        return None
+    if not state.backed:
+        state = _mark(state, sight, sight.pose[2], 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
+        return _back_up(replace(state, backed=True, aim=np.nan), sight, config.longest_back, config)
+    # On a crest it stood level, and slides as soon as it turns.
+    if np.hypot(*(sight.pose[:2] - state.back_from[:2])) >= config.longest_back:
+        return None
+    after, command = _back_up(state, sight, config.longest_back, config)
+    return replace(after, back_from=(*state.back_from[:2], sight.time)), command
 
 
 def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision:

@@ -47,6 +47,8 @@ class VfhConfig:
     back_distance: float = quantity(0.3, unit="m", above=0)
     # [m] How far the robot backs up at most until it has room to turn.
     longest_back: float = quantity(1.0, unit="m", above=0)
+    # [m/rad] Where turning on the spot slides the robot farther than this, it backs up first, as far as that.
+    longest_slide: float = quantity(0.1, unit="m/rad", low=0)
     # [s], [m], [deg] Stuck is who was told to move for so long and moved and turned no more than that.
     stuck_time: float = quantity(4.0, unit="s", above=0)
     stuck_distance: float = quantity(0.08, unit="m", above=0)
@@ -80,6 +82,7 @@ class Sight:
         way: (2,) point in M to steer for, None when there is no way.
         obstacles: (n, 2) in the robot's heading frame [m], impassable cells within reach of its corners.
         yaw_rate: that the drive is told to turn at [rad/s], NaN where it is not known.
+        downhill: (2,) in the robot's heading frame, as long as the sine of its tilt [-].
     """
 
     time: float
@@ -91,6 +94,7 @@ class Sight:
     way: np.ndarray | None
     obstacles: np.ndarray
     yaw_rate: float = np.nan
+    downhill: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,11 @@ class WavefrontConfig:
     unknown_price: float = quantity(2.0, unit="-", low=1)
     # [-] Least share of speed that ground is priced with, so that no price is above its inverse.
     min_share: float = quantity(0.1, unit="-", above=0, high=1)
-    # [m] Kept from obstacles beyond half the robot's width, and where that is not possible any more, at up to twice
-    # the price.
+    # [m] Kept from obstacles beyond half the robot's width; over the next `comfort` the price rises to `narrow_price`
+    # times itself: where it is narrow a long robot cannot turn, and on slopes it slides and leans against things.
     clearance: float = quantity(0.05, unit="m", low=0)
-    comfort: float = quantity(0.25, unit="m", above=0)
+    comfort: float = quantity(0.35, unit="m", above=0)
+    narrow_price: float = quantity(4.0, unit="-", low=1)
     # [-] Ground along the way so far is cheaper by this share: what is seen next may change the order of two ways that
     # cost the same, and a robot that follows each time gets nowhere.
     loyalty: float = quantity(0.15, unit="-", low=0)
@@ -103,7 +104,9 @@ def spread_costs(
     hard = max((0.5 * min(ability.footprint) + config.clearance) / cell - 1, 0.5)
     soft = hard + config.comfort / cell
     distance = obstacle_distance(risk >= IMPASSABLE, soft + 1)
-    price = prices(risk, distance, ability.risk_limit, config.min_share, config.unknown_price, hard, soft)
+    price = prices(
+        risk, distance, ability.risk_limit, config.min_share, config.unknown_price, hard, soft, config.narrow_price
+    )
     if before is not None and (before.goal == goal).all():
         _discount(price, (before.path(robot) - origin) / cell, 1 + config.loyalty)
     _open_around_robot(price, risk, distance, (robot - origin) / cell, 0.5 * math.hypot(*ability.footprint) / cell)

@@ -32,12 +32,19 @@ def obstacle_distance(obstacle: np.ndarray, most: float) -> np.ndarray:
 
 @njit(cache=True)
 def prices(
-    risk: np.ndarray, distance: np.ndarray, limit: float, share: float, unknown: float, hard: float, soft: float
+    risk: np.ndarray,
+    distance: np.ndarray,
+    limit: float,
+    share: float,
+    unknown: float,
+    hard: float,
+    soft: float,
+    narrow: float,
 ) -> np.ndarray:
     """Price of driving one cell's length, (nx, ny) float32, at least 1; infinite where the robot cannot be.
 
-    Known ground costs 1 / (1 - r / r_limit), the time that Eq. 9 makes of it; it costs up to twice that from `soft` to
-    `hard` cells from an obstacle.
+    Known ground costs 1 / (1 - r / r_limit), the time that Eq. 9 makes of it; from `soft` to `hard` cells from an
+    obstacle up to `narrow` times that.
     """
     nx, ny = risk.shape
     price = np.full((nx, ny), np.inf, np.float32)
@@ -47,7 +54,7 @@ def prices(
             if d <= hard or r >= limit:
                 continue
             p = unknown if np.isnan(r) else 1.0 / max(1.0 - r / limit, share)
-            price[i, j] = p * (1.0 + (soft - d) / (soft - hard)) if d < soft else p
+            price[i, j] = p * (1.0 + (narrow - 1.0) * (soft - d) / (soft - hard)) if d < soft else p
     return price
 
 

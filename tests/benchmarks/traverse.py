@@ -1,7 +1,7 @@
 """Random rough yards for every robot: does it reach the goal, unharmed, and say so where there is no way?
 
-    python -m tests.benchmarks.traverse [--worlds 20] [--robots pioneer amphibious crawler] [--jobs 2] [--fit robust]
-        [--stray 0.01] [--out out/rough] [--json FILE]
+    python -m tests.benchmarks.traverse [--worlds 20] [--first 0] [--blocked 5] [--robots pioneer amphibious crawler]
+        [--jobs 2] [--fit robust] [--stray 0.01] [--out out/rough] [--json FILE]
 
 The yards are those of `naraha.models.worlds.rough_field`: a bent way through them keeps to slopes, steps and roughness
 that every robot here manages, and anything may stand beside it; in the blocked ones a wall keeps every robot from the
@@ -70,6 +70,7 @@ def summary(runs: Sequence[dict[str, Any]], blocked: bool) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", type=int, default=20, help="open yards for each robot")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first open yard")
     parser.add_argument("--blocked", type=int, default=5, help="blocked yards for each robot")
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=ROBOTS)
     parser.add_argument("--fit", choices=("robust", "least_squares"), default="robust")
@@ -80,8 +81,8 @@ def main() -> None:
     arguments = parser.parse_args()
     plan = [
         (robot, seed, blocked)
-        for blocked, count in ((False, arguments.worlds), (True, arguments.blocked))
-        for seed in range(count)
+        for blocked, first, count in ((False, arguments.first, arguments.worlds), (True, 0, arguments.blocked))
+        for seed in range(first, first + count)
         for robot in arguments.robots
     ]
     with ThreadPoolExecutor(arguments.jobs) as pool:

@@ -13,12 +13,14 @@ from naraha.systems.traversability import (
     describe_terrain,
     make_histogram,
 )
+from naraha.systems.traversability.fuzzy_vfh_controller import downhill_of
 from naraha.systems.traversability.vfh_choice import (
     best_direction,
     nearest_to_goal,
     nearness,
+    place_to_turn,
     room_behind,
-    room_to_turn,
+    turn_depth,
     wrapped,
 )
 from naraha.systems.traversability.vfh_decide import decide
@@ -32,7 +34,7 @@ from naraha.systems.traversability.wavefront import (
 )
 from naraha.systems.traversability.wavefront_kernels import costs_to_goal
 from pydrake.common.value import AbstractValue
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -106,12 +108,43 @@ def test_of_two_directions_as_good_the_one_driven_in_so_far_is_kept():
 def test_room_to_turn_is_that_of_the_rectangle():
     footprint = [1.0, 0.5]
     beside = np.array([[0.0, 0.35]])
-    assert not room_to_turn(beside, footprint, np.pi / 2)
-    assert room_to_turn(np.array([[0.0, 0.6]]), footprint, np.pi / 2)
+    assert np.isclose(turn_depth(beside, footprint, np.pi / 2), 0.15, atol=0.02)
+    assert turn_depth(np.array([[0.0, 0.6]]), footprint, np.pi / 2) <= 0
     ahead_left = np.array([[0.45, 0.3]])
-    assert not room_to_turn(ahead_left, footprint, 0.3)
-    assert room_to_turn(ahead_left, footprint, -0.3)
-    assert room_to_turn(np.zeros((0, 2)), footprint, np.pi)
+    assert turn_depth(ahead_left, footprint, 0.3) > 0
+    assert turn_depth(ahead_left, footprint, -0.3) <= 0
+    assert turn_depth(np.zeros((0, 2)), footprint, np.pi) <= 0
+
+
+def test_a_turn_on_a_slope_needs_the_room_that_it_slides_into():
+    footprint, behind = [1.0, 0.5], np.array([[-0.75, 0.0]])
+    # It slides by -s cos(a) along (cos(a), sin(a)): half a turn takes its middle π/2 s back.
+    up, half_a_turn = (-0.2, 0.0), np.pi
+    assert turn_depth(behind, footprint, half_a_turn) <= 0
+    gone = 0.2 * np.pi / 2
+    assert np.isclose(turn_depth(behind, footprint, half_a_turn, up), 0.5 + gone - 0.75, atol=0.01)
+    assert turn_depth(-behind, footprint, half_a_turn, up) <= 0
+    # Across the slope it slides when it faces it, however it began.
+    assert turn_depth(np.array([[0.1, -0.6]]), footprint, -np.pi / 2, (0.0, -0.3)) > 0.05
+
+
+def test_what_a_robot_touches_must_not_get_farther_in_by_a_turn():
+    footprint = [1.0, 0.5]
+    front_left = np.array([[0.2, 0.22]])
+    assert turn_depth(front_left, footprint, 0.5) > 0
+    assert turn_depth(front_left, footprint, -0.5) <= 0
+    assert turn_depth(np.array([[0.1, 0.05]]), footprint, np.pi) <= 0  # it stands on that
+
+
+def test_the_place_to_turn_is_the_nearest_with_room_or_the_least_bad_one():
+    footprint, level = [1.0, 0.5], (0.0, 0.0)
+    wall = np.column_stack([np.linspace(0, 1, 11), np.full(11, 0.35)])
+    assert place_to_turn(wall, footprint, np.pi / 2, level, 1.0) == pytest.approx(0.5, abs=0.11)
+    assert place_to_turn(wall + np.array([3, 0]), footprint, np.pi / 2, level, 1.0) == 0
+    everywhere = np.column_stack([np.linspace(-3, 3, 61), np.full(61, 0.35)])
+    assert place_to_turn(everywhere, footprint, np.pi / 2, level, 1.0) == 0
+    closed_behind = np.vstack([wall, [[-0.65, 0.1]]])
+    assert place_to_turn(closed_behind, footprint, np.pi / 2, level, 1.0) <= 0.15
 
 
 def test_room_behind_is_the_strip_behind():
@@ -187,6 +220,17 @@ def test_risky_ground_is_gone_around_when_that_takes_less_time_and_crossed_when_
         ways.append(np.abs(field.path(np.array([0.5, 4.0]))[:, 1] - 4.0).max())
     assert ways[0] < 0.3
     assert ways[1] > 0.9
+
+
+def test_a_narrow_gap_is_gone_around_when_a_wide_one_is_not_far():
+    risk = np.full((60, 60), 17.0)
+    risk[26:34, :38] = IMPASSABLE
+    risk[26:34, 27:32] = 17.0  # 0.5 m, wide enough for a robot of 0.38 m
+    for config, around in ((WavefrontConfig(), True), (WavefrontConfig(narrow_price=1.0), False)):
+        path = field_of(risk, (5.0, 3.0), (1.0, 3.0), config).path(np.array([1.0, 3.0]))
+        assert (path[:, 1].max() > 4.0) == around
+    risk[26:34, 33:] = IMPASSABLE
+    assert find_way(field_of(risk, (5.0, 3.0), (1.0, 3.0)), np.array([1.0, 3.0])) is not None
 
 
 def test_unseen_ground_is_crossed_at_a_price_and_a_goal_outside_is_headed_for():
@@ -325,6 +369,32 @@ def test_no_way_needs_a_look_all_around_and_several_updates_and_is_left_when_the
         seen = sight(index=index + 1 + n, pose=(0, 0, 0), time=20.0 + n)
         state, _ = decide(state, seen, pioneer(), VfhConfig())
     assert state.status in ("driving", "turning")
+
+
+@pytest.mark.parametrize("downhill", [(-0.3, 0.0), (0.0, 0.3)])
+def test_who_slides_when_it_turns_backs_off_a_slope_first_and_does_not_come_back(downhill):
+    crawler = replace(pioneer(), turn_slide=0.7)
+    behind = sight(goal=(-5.0, 0.5), downhill=downhill)
+    state, command = decide(VfhState(goal=(-5.0, 0.5)), behind, crawler, CONFIG)
+    assert state.status == "backing"
+    assert command.v_r < 0
+    assert len(state.marks) == 1
+    assert state.marks[0][0] > 0.5 * crawler.footprint[0]
+    # As far as it is level, then it turns.
+    state, _ = decide(state, replace(behind, time=0.1), crawler, CONFIG)
+    assert state.status == "backing"
+    state, command = decide(state, replace(behind, time=0.2, downhill=(0.0, 0.0)), crawler, CONFIG)
+    assert state.status == "turning"
+    assert command.omega_r != 0
+    # Who does not slide turns where it is.
+    state, _ = decide(VfhState(goal=(-5.0, 0.5)), behind, pioneer(), CONFIG)
+    assert state.status == "turning"
+
+
+def test_downhill_is_that_of_the_ground_seen_from_the_robot():
+    for yaw in (0.0, 2.0):
+        assert np.allclose(downhill_of(RigidTransform(RollPitchYaw(0.0, -0.3, yaw), [1, 2, 3])), [-np.sin(0.3), 0.0])
+        assert np.allclose(downhill_of(RigidTransform(RollPitchYaw(0.3, 0.0, yaw), [1, 2, 3])), [0.0, -np.sin(0.3)])
 
 
 def test_one_update_without_a_way_is_not_no_way():
