@@ -138,12 +138,16 @@ def _let_go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) 
 
 
 def _backed_enough(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> bool:
-    x, y, since = state.back_from
-    gone = float(np.hypot(sight.pose[0] - x, sight.pose[1] - y))
-    late = sight.time - since > 2 * state.back_to / config.back_speed + 1.0
     level = not _slides(sight, ability, 0.5 * config.longest_slide)
     for_room = state.backed and level and _room_to_turn(sight, state.side * np.pi / 2, ability)
-    return gone >= state.back_to or late or for_room or not room_behind(sight.obstacles, ability.footprint)
+    return for_room or _backed_far(state, sight, config) or not room_behind(sight.obstacles, ability.footprint)
+
+
+def _backed_far(state: VfhState, sight: Sight, config: VfhConfig) -> bool:
+    """Whether it backed up as far as it was to, or had the time to and did not get there."""
+    x, y, since = state.back_from
+    late = sight.time - since > 2 * state.back_to / config.back_speed + 1.0
+    return late or float(np.hypot(sight.pose[0] - x, sight.pose[1] - y)) >= state.back_to
 
 
 def _slide(sight: Sight, ability: Ability) -> tuple[float, float]:
@@ -306,11 +310,11 @@ def _off_the_slope(state: VfhState, sight: Sight, ability: Ability, config: VfhC
     if not state.backed:
         state = _mark(state, sight, sight.pose[2], 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
         return _back_up(replace(state, backed=True, aim=np.nan), sight, config.longest_back, config)
-    # On a crest it stood level, and slides as soon as it turns.
-    if np.hypot(*(sight.pose[:2] - state.back_from[:2])) >= config.longest_back:
+    if _backed_far(state, sight, config):
         return None
-    after, command = _back_up(state, sight, config.longest_back, config)
-    return replace(after, back_from=(*state.back_from[:2], sight.time)), command
+    # On a crest it stood level, and slides as soon as it turns.
+    after, command = _back_up(state, sight, state.back_to, config)
+    return replace(after, back_from=state.back_from), command
 
 
 def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision:

@@ -386,6 +386,13 @@ def test_who_slides_when_it_turns_backs_off_a_slope_first_and_does_not_come_back
     state, command = decide(state, replace(behind, time=0.2, downhill=(0.0, 0.0)), crawler, CONFIG)
     assert state.status == "turning"
     assert command.omega_r != 0
+    # On a crest it was level before it turned. It backs up farther then, but not for ever where it hangs.
+    statuses = []
+    for time in np.arange(0.3, 17.0, 0.1):
+        state, _ = decide(state, replace(behind, time=time), crawler, CONFIG)
+        statuses.append(state.status)
+    assert set(statuses[:100]) == {"backing"}
+    assert set(statuses[-20:]) == {"turning"}
     # Who does not slide turns where it is.
     state, _ = decide(VfhState(goal=(-5.0, 0.5)), behind, pioneer(), CONFIG)
     assert state.status == "turning"
