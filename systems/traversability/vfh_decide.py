@@ -171,12 +171,19 @@ def _back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) 
 
 
 def _look_around(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
-    """No way is known: turns once to see all around, then says so when it is confirmed."""
+    """No way is known: turns once to see all around, then says so when it is confirmed.
+
+    Before a goal that is nearer than it would back up it does that first, and looks again: what it remembers of ground
+    so near may be dust, and cannot be seen from here.
+    """
     if state.status != LOOKING:
         state = replace(state, status=LOOKING, turned=0.0, side=state.side or 1.0, aim=np.nan)
     if state.turned < _FULL_TURN:
         return _turn(state, sight, state.side * np.pi / 2, ability, config, LOOKING)
     if state.without >= config.confirmations:
+        near = np.hypot(*(sight.goal - sight.pose[:2])) < config.longest_back
+        if near and not state.looked_back and room_behind(sight.obstacles, ability.footprint):
+            return _back_up(replace(state, looked_back=True, backed=False), sight, config.longest_back, config)
         return _rest(replace(state, status=NO_WAY, side=0.0, again=0), sight)
     return _rest(state, sight)
 
@@ -273,7 +280,7 @@ def _steer(
     slow = min(1.0, np.sqrt(2 * config.deceleration * left) / ability.max_speed)
     v_r = config.reference_share * ability.max_speed * share * slow
     anchor = state.anchor if state.status == DRIVING else (*state.anchor[:3], sight.time)
-    state = replace(state, status=DRIVING, aim=aim, side=0.0, backed=False, refused_since=np.nan)
+    state = replace(state, status=DRIVING, aim=aim, side=0.0, backed=False, looked_back=False, refused_since=np.nan)
     return replace(state, anchor=anchor), Command((float(x), float(y), aim), float(v_r), 0.0, risk)
 
 

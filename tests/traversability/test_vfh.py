@@ -371,6 +371,18 @@ def test_no_way_needs_a_look_all_around_and_several_updates_and_is_left_when_the
     assert state.status in ("driving", "turning")
 
 
+def test_before_a_goal_too_near_to_be_seen_it_backs_up_and_looks_again_before_it_says_no_way():
+    state, statuses, pose, index = VfhState(), [], np.zeros(3), 0
+    for n in range(400):
+        index += n % 5 == 0
+        seen = sight(way=None, index=index, goal=(0.6, 0.0), pose=pose, time=0.1 * n)
+        state, command = decide(state, seen, pioneer(), VfhConfig())
+        pose = pose + 0.1 * np.array([*command.v_r * np.array([np.cos(pose[2]), np.sin(pose[2])]), command.omega_r])
+        statuses.append(state.status)
+    assert [status for status, _ in groupby(statuses)] == ["looking", "backing", "looking", "no way"]
+    assert np.hypot(*pose[:2]) == pytest.approx(CONFIG.longest_back, abs=0.05)
+
+
 @pytest.mark.parametrize("downhill", [(-0.3, 0.0), (0.0, 0.3)])
 def test_who_slides_when_it_turns_backs_off_a_slope_first_and_does_not_come_back(downhill):
     crawler = replace(pioneer(), turn_slide=0.7)
