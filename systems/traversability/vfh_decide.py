@@ -30,6 +30,8 @@ _ALIGNED = 0.15
 _AWAY = 0.5
 # [m] A way that is kept to is done with so near to its point: on it, no direction leads there any more.
 _THERE = 0.2
+# [m] The ground before a goal so near is not seen any more.
+_NEAR_GOAL = 1.0
 # A robot keeps no more marks than this; the oldest goes first.
 _MOST_MARKS = 64
 
@@ -37,8 +39,8 @@ _MOST_MARKS = 64
 def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
     """What to do now.
 
-    In this order: stay at the goal; end a stretch of backing up; when remembered ground has no way to the goal, look
-    around once and then say so; else drive, turn on the spot or back up, see `_go`.
+    In this order: stay at the goal; free itself when it is stuck; end a stretch of backing up; when remembered ground
+    has no way to the goal, look around once and then say so; else drive, turn on the spot or back up, see `_go`.
     """
     goal = (float(sight.goal[0]), float(sight.goal[1]))
     if goal != state.goal:
@@ -51,10 +53,10 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     if config.preset == "paper":
         return _paper(state, sight, ability, config)
     state = _watch(state, sight, config)
-    if state.status == BACKING and not _backed_enough(state, sight, ability, config):
-        return state, Command(v_r=-config.back_speed)
     if _stuck(state, sight, config):
         return _free(state, sight, ability, config)
+    if state.status == BACKING and not _backed_enough(state, sight, ability, config):
+        return state, Command(v_r=-config.back_speed)
     if abs(state.astray) > np.deg2rad(config.caught_turn_deg):
         return _let_go(state, sight, ability, config)
     if state.status == NO_WAY and state.again < config.confirmations:
@@ -116,11 +118,14 @@ def _stuck(state: VfhState, sight: Sight, config: VfhConfig) -> bool:
 
 
 def _free(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
-    """Was told to move and did not: what is ahead is marked, and the robot backs up; if it turned, the other way."""
+    """Was told to move and did not: what is ahead is marked, and the robot backs up; if it turned, the other way. If it
+    backed up, it does so no farther."""
     anchor = (*state.anchor[:3], sight.time)
     if state.status == DRIVING and np.isfinite(state.aim):
         state = _mark(state, sight, state.aim, 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
     state = replace(state, anchor=anchor, side=-state.side, aim=np.nan)
+    if state.status == BACKING:
+        return replace(state, back_to=0.0), Command()
     if state.status in (DRIVING, TURNING) and room_behind(sight.obstacles, ability.footprint):
         return _back_up(state, sight, config.back_distance, config)
     return state, Command()
@@ -173,17 +178,17 @@ def _back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) 
 def _look_around(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
     """No way is known: turns once to see all around, then says so when it is confirmed.
 
-    Before a goal that is nearer than it would back up it does that first, and looks again: what it remembers of ground
-    so near may be dust, and cannot be seen from here.
+    Before a goal that is nearer than `_NEAR_GOAL` it backs up so far first, and looks again: what it remembers of
+    ground so near may be dust, and cannot be seen from here.
     """
     if state.status != LOOKING:
         state = replace(state, status=LOOKING, turned=0.0, side=state.side or 1.0, aim=np.nan)
     if state.turned < _FULL_TURN:
         return _turn(state, sight, state.side * np.pi / 2, ability, config, LOOKING)
     if state.without >= config.confirmations:
-        near = np.hypot(*(sight.goal - sight.pose[:2])) < config.longest_back
+        near = np.hypot(*(sight.goal - sight.pose[:2])) < _NEAR_GOAL
         if near and not state.looked_back and room_behind(sight.obstacles, ability.footprint):
-            return _back_up(replace(state, looked_back=True, backed=False), sight, config.longest_back, config)
+            return _back_up(replace(state, looked_back=True, backed=False), sight, _NEAR_GOAL, config)
         return _rest(replace(state, status=NO_WAY, side=0.0, again=0), sight)
     return _rest(state, sight)
 

@@ -46,7 +46,7 @@ class VfhConfig:
     back_speed: float = quantity(0.15, unit="m/s", above=0)
     back_distance: float = quantity(0.3, unit="m", above=0)
     # [m] How far the robot backs up at most until it has room to turn.
-    longest_back: float = quantity(1.0, unit="m", above=0)
+    longest_back: float = quantity(1.5, unit="m", above=0)
     # [m/rad] Where turning on the spot slides the robot farther than this, it backs up first, as far as that.
     longest_slide: float = quantity(0.1, unit="m/rad", low=0)
     # [s], [m], [deg] Stuck is who was told to move for so long and moved and turned no more than that.

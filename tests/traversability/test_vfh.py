@@ -380,7 +380,7 @@ def test_before_a_goal_too_near_to_be_seen_it_backs_up_and_looks_again_before_it
         pose = pose + 0.1 * np.array([*command.v_r * np.array([np.cos(pose[2]), np.sin(pose[2])]), command.omega_r])
         statuses.append(state.status)
     assert [status for status, _ in groupby(statuses)] == ["looking", "backing", "looking", "no way"]
-    assert np.hypot(*pose[:2]) == pytest.approx(CONFIG.longest_back, abs=0.05)
+    assert np.hypot(*pose[:2]) == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("downhill", [(-0.3, 0.0), (0.0, 0.3)])
@@ -400,11 +400,11 @@ def test_who_slides_when_it_turns_backs_off_a_slope_first_and_does_not_come_back
     assert command.omega_r != 0
     # On a crest it was level before it turned. It backs up farther then, but not for ever where it hangs.
     statuses = []
-    for time in np.arange(0.3, 17.0, 0.1):
+    for time in np.arange(0.3, 6.0, 0.1):
         state, _ = decide(state, replace(behind, time=time), crawler, CONFIG)
         statuses.append(state.status)
-    assert set(statuses[:100]) == {"backing"}
-    assert set(statuses[-20:]) == {"turning"}
+    assert set(statuses[:35]) == {"backing"}
+    assert set(statuses[-10:]) == {"turning"}
     # Who does not slide turns where it is.
     state, _ = decide(VfhState(goal=(-5.0, 0.5)), behind, pioneer(), CONFIG)
     assert state.status == "turning"
