@@ -24,8 +24,8 @@ _LOWEST = 1.0
 class FrontierConfig:
     """What one look shows, and when it is worth its time."""
 
-    # [m] Distance up to which a look shows the ground, and up to which one look settles what is there: farther away
-    # near-infrared is weak and low things hide much, so there it takes two.
+    # [m] Distance up to which a look settles what is on the ground; and a suspicion, of more than 1 bit, which it may
+    # not answer from afar, where near-infrared is weak and much is hidden.
     view_range: float = quantity(5.0, unit="m", above=0)
     sure_range: float = quantity(3.0, unit="m", above=0)
     # [m] Nearer ground is below what the sensors see.
@@ -95,45 +95,55 @@ def hiding_cells(grid: RouteGrid, voxels: Voxels, config: FrontierConfig) -> np.
 
 
 def seen_cells(
-    grid: RouteGrid, hiding: np.ndarray, view: View, config: FrontierConfig, reach: float | None = None
+    grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], config: FrontierConfig, reach: float | None = None
 ) -> np.ndarray:
-    """Cells that a look shows up to `reach` [m], the view range when not given, (nx, ny) bool."""
+    """Cells that the views show up to `reach` [m], the view range when not given, (nx, ny) bool."""
     seen, half = np.zeros(grid.shape, bool), 0.5 * np.deg2rad(config.fov_deg)
-    x, y = (np.array([view.x, view.y]) - grid.origin) / grid.cell
     near, far = config.near_range / grid.cell, (config.view_range if reach is None else reach) / grid.cell
-    mark_view(seen, hiding, float(x), float(y), view.heading - half, view.heading + half, near, far)
+    for view in views:
+        x, y = (np.array([view.x, view.y]) - grid.origin) / grid.cell
+        mark_view(seen, hiding, float(x), float(y), view.heading - half, view.heading + half, near, far)
     return seen
 
 
-def settled_cells(grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], config: FrontierConfig) -> np.ndarray:
-    """Cells that one of the looks showed from within the sure range, or two from farther away, (nx, ny) bool."""
-    settled, once = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
-    for view in views:
-        seen = seen_cells(grid, hiding, view, config)
-        settled |= (seen & once) | seen_cells(grid, hiding, view, config, min(config.sure_range, config.view_range))
-        once |= seen
-    return settled
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """What looks could still tell of each cell [bit], (nx, ny) float32 each.
+
+    Attributes:
+        near: when they are taken from within the sure range. far: from farther away.
+    """
+
+    near: np.ndarray
+    far: np.ndarray
 
 
 def open_questions(
     grid: RouteGrid, hiding: np.ndarray, views: Sequence[View], interest: np.ndarray | None, config: FrontierConfig
-) -> np.ndarray:
-    """What looks could tell of each cell [bit], (nx, ny) float32.
+) -> Questions:
+    """What looks could still tell.
 
-    Nothing where looks have settled it, so that no look is taken more than twice and a survey comes to its end, also
-    where looks did not show what was hoped for; nothing behind walls, far from all ground that is known.
+    Nothing where a view has looked already, so a look that was taken is never proposed again and a survey comes to its
+    end, also where a look did not show what was hoped for; only a suspicion that was looked at from afar is still asked
+    from near. Nothing behind walls, far from all ground that is known.
     """
-    near = np.isfinite(grid.height)
-    if config.beyond > 0 and near.any():
-        near = binary_dilation(near, iterations=max(round(config.beyond / grid.cell), 1))
+    ground = np.isfinite(grid.height)
+    if config.beyond > 0 and ground.any():
+        ground = binary_dilation(ground, iterations=max(round(config.beyond / grid.cell), 1))
     worth = np.ones(grid.shape, np.float32) if interest is None else np.asarray(interest, np.float32)
-    asked = near & ~hiding & (worth >= config.min_interest) & ~settled_cells(grid, hiding, views, config)
-    return np.where(asked, worth, np.float32(0))
+    worth = np.where(ground & ~hiding & (worth >= config.min_interest), worth, np.float32(0))
+    seen, seen_near = (seen_cells(grid, hiding, views, config, reach) for reach in (None, _sure(config)))
+    return Questions(np.where(seen_near | (seen & (worth <= 1)), np.float32(0), worth), np.where(seen, 0, worth))
 
 
-def gain_of(view: View, questions: np.ndarray, grid: RouteGrid, hiding: np.ndarray, config: FrontierConfig) -> float:
+def gain_of(view: View, questions: Questions, grid: RouteGrid, hiding: np.ndarray, config: FrontierConfig) -> float:
     """What a look tells of the `open_questions` [bit m²]."""
-    return float(questions[seen_cells(grid, hiding, view, config)].sum()) * grid.cell**2
+    seen, near = (seen_cells(grid, hiding, [view], config, reach) for reach in (None, _sure(config)))
+    return float(questions.near[near].sum() + questions.far[seen & ~near].sum()) * grid.cell**2
+
+
+def _sure(config: FrontierConfig) -> float:
+    return min(config.sure_range, config.view_range)
 
 
 def find_goals(
@@ -174,9 +184,13 @@ def find_goals(
     places = np.argwhere(every & ~grid.blocked & np.isfinite(way) & (grid.clearance >= config.room))
     if not len(places):
         return ()
-    near, reach = config.near_range / grid.cell, config.view_range / grid.cell
-    told = unseen_sectors(places + 0.5, questions, hiding, near, reach, _SECTORS, _RAYS)
-    told *= grid.cell**2
+    told = np.zeros((len(places), _SECTORS))
+    for worth, near, reach in (
+        (questions.near, config.near_range, _sure(config)),
+        (questions.far, _sure(config), config.view_range),
+    ):
+        ranges = near / grid.cell, reach / grid.cell
+        told += unseen_sectors(places + 0.5, worth, hiding, *ranges, _SECTORS, _RAYS) * grid.cell**2
     width = int(np.clip(round(config.fov_deg / 360 * _SECTORS), 1, _SECTORS))
     cyclic = np.cumsum(np.column_stack([np.zeros(len(places)), told, told[:, :width]]), axis=1)
     shown = cyclic[:, width : width + _SECTORS] - cyclic[:, :_SECTORS]

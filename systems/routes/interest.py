@@ -2,8 +2,10 @@
 
 import numpy as np
 from open3d.t.geometry import PointCloud
+from scipy.ndimage import distance_transform_edt
 from scipy.special import entr
 
+from ..hazards.classes import WATER
 from ..hazards.water import cloud_attribute, cloud_points
 from .gaps import close_gaps
 from .route_grid import RouteGrid
@@ -20,27 +22,32 @@ def make_interest(
 ) -> np.ndarray:
     """What a look at each cell of `grid` would tell [bit], (nx, ny) float32.
 
-    Where there is ground it is the entropy of whether it is water, H(p) = −p log₂ p − (1 − p) log₂ (1 − p): near 0
-    where near-infrared has seen dry ground or water, some 0.2 where only LiDAR shots speak for dry ground. Where they
-    speak for water and no camera has looked, a look counts `suspicion` times: what hides there is small and closes
-    ways. So it does in the gaps between such cells, for water sends few shots back. Unknown ground is worth 1.
+    It is the entropy of whether there is water, H(p) = −p log₂ p − (1 − p) log₂ (1 − p): near 0 where near-infrared has
+    seen dry ground or water, or where LiDAR shots speak for dry ground. Where they speak for water and no camera has
+    looked, a look counts `suspicion` times: what hides there is small and closes ways. So it does in the gaps between
+    such cells, for water sends few shots back; but not beside a puddle that has been found, whose rest it is. Ground of
+    which nothing has told is worth 1, seen or not.
 
     Args:
-        cloud: semantic map in M, with `water_probability` and `nir` if known.
-        prior: of water, where neither LiDAR nor camera has told anything.
-        height: points this near to the ground of a cell are ground [m]. max_gap: widest gap that is closed [m].
+        cloud: semantic map in M, with `water_probability`, `nir` and `label` if known.
+        prior: of water; twice as much is a suspicion.
+        height: points this near to the ground of a cell are ground [m]. max_gap: widest gap that is closed, and how far
+            from the points of a puddle the rest of it lies [m].
     """
     interest = np.ones(grid.shape, np.float32)
-    interest[np.isfinite(grid.height)] = entropy(np.array([prior]))[0]
     points, water = cloud_points(cloud), cloud_attribute(cloud, "water_probability")
     usable = np.isfinite(water)
     usable[usable] = grid.contains(points[usable, :2])
     looked = np.isfinite(cloud_attribute(cloud, "nir"))[usable]
+    found = cloud_attribute(cloud, "label")[usable] == WATER.id
     points, water = points[usable], water[usable]
     cells = tuple(grid.index_of(points[:, :2]).T) if len(points) else (np.zeros(0, int), np.zeros(0, int))
     with np.errstate(invalid="ignore"):
         ground = np.abs(points[:, 2] - grid.height[cells]) < height
-    suspicious = ~looked & (water > 2 * prior)
+    puddle = np.zeros(grid.shape, bool)
+    puddle[cells[0][found], cells[1][found]] = True
+    beside = distance_transform_edt(~puddle) * grid.cell <= max_gap if puddle.any() else puddle
+    suspicious = ~looked & (water > 2 * prior) & ~beside[cells]
     worth = entropy(water) * np.where(suspicious, suspicion, 1.0)
     told = np.full(grid.shape, -np.inf)
     np.maximum.at(told, (cells[0][ground], cells[1][ground]), worth[ground])

@@ -157,7 +157,7 @@ def _looked(state: LoopState, now: float, here: Surroundings, config: SurveyLoop
     """A look ends when its time is over, or earlier when a newer map leaves nothing to ask there."""
     spent = now - state.since
     if spent >= config.frontiers.look_time:
-        # What was seen is what the robot looked at, not what it meant to.
+        # What was seen is what the robot looked at, not what it meant to. What it did not tell it never will.
         view = View(*here.pose.tolist())
         return replace(state, phase="choose", since=now, views=(*state.views, view), looks=state.looks + 1, view=None)
     if here.interest is None or here.interest is state.judged or spent < config.settle_time:
@@ -166,14 +166,9 @@ def _looked(state: LoopState, now: float, here: Surroundings, config: SurveyLoop
     if _gain(view, state, here, config) < 0.5 * config.frontiers.min_gain:
         # Looking there again would tell nothing either.
         again = state.short is not None and _alike(view, state.short)
-        views = (*state.views, *_for_good(view)) if again else state.views
+        views = (*state.views, view) if again else state.views
         return replace(state, phase="choose", since=now, looks=state.looks + 1, view=None, views=views, short=view)
     return replace(state, judged=here.interest)
-
-
-def _for_good(view: View) -> tuple[View, View]:
-    """As two looks: what it would show is not asked again, however far."""
-    return view, view
 
 
 def _alike(a: View, b: View) -> bool:
@@ -197,7 +192,7 @@ def closed_ahead(route: Route, grid: RouteGrid, pose: np.ndarray) -> bool:
 
 def _given_up(state: LoopState, now: float, config: SurveyLoopConfig) -> LoopState:
     """Chooses anew; a look that no way leads to counts as taken, so that the survey ends."""
-    views = state.views if state.view is None else (*state.views, *_for_good(state.view))
+    views = state.views if state.view is None else (*state.views, state.view)
     return replace(
         state, phase="choose", since=now, views=views, view=None, offers=(), chosen=-1, failures=state.failures + 1
     )

@@ -8,10 +8,10 @@ from naraha.systems.routes.frontiers import (
     FrontierConfig,
     View,
     find_goals,
+    gain_of,
     hiding_cells,
     open_questions,
     seen_cells,
-    settled_cells,
 )
 
 CONFIG = FrontierConfig(view_range=2.0, near_range=0.0, fov_deg=90, min_gain=0.5, min_value=0.0)
@@ -24,14 +24,15 @@ def hall(nx=80, ny=50):
     return kind
 
 
-def goals_in(kind, pose=(1.0, 1.0, 0.0), views=(), config=CONFIG):
-    return find_goals(RouteGrid.from_kind(kind, 0.1), np.array(pose), kind == OCCUPIED, views, config)
+def goals_in(kind, pose=(1.0, 1.0, 0.0), views=(), config=CONFIG, interest=None):
+    grid = RouteGrid.from_kind(kind, 0.1)
+    return find_goals(grid, np.array(pose), kind == OCCUPIED, views, config, interest=interest)
 
 
 def test_one_look_covers_its_sector_and_nothing_behind_walls():
     kind = hall()
     kind[30, 10:40] = OCCUPIED
-    seen = seen_cells(RouteGrid.from_kind(kind, 0.1), kind == OCCUPIED, View(2.05, 2.5, 0.0), CONFIG)
+    seen = seen_cells(RouteGrid.from_kind(kind, 0.1), kind == OCCUPIED, [View(2.05, 2.5, 0.0)], CONFIG)
     centres = RouteGrid.from_kind(kind, 0.1).centre_of(np.argwhere(seen))
     away = centres - [2.05, 2.5]
     assert (np.linalg.norm(away, axis=1) <= 2.0 + 0.1).all()
@@ -53,25 +54,29 @@ def test_looking_at_the_best_goal_again_and_again_sees_the_hall_and_ends():
         views.append(view)
         pose = np.array([view.x, view.y, view.heading])
         assert len(views) < 60
-    seen = settled_cells(grid, kind == OCCUPIED, views, CONFIG)
+    seen = seen_cells(grid, kind == OCCUPIED, views, CONFIG)
     assert seen[kind == FREE].mean() > 0.9
 
 
-def test_far_ground_that_one_look_did_not_settle_is_looked_at_once_more_and_not_a_third_time():
+def test_a_suspicion_that_a_look_from_afar_did_not_answer_is_asked_from_near_and_only_once():
     kind = hall()
     interest = np.zeros(kind.shape, np.float32)
-    interest[35:45, 20:30] = 1.0
+    interest[40:44, 23:27] = 5.0
     config = replace(CONFIG, view_range=4.0, sure_range=1.5)
-    grid = RouteGrid.from_kind(kind, 0.1)
+    grid, hiding = RouteGrid.from_kind(kind, 0.1), kind == OCCUPIED
+    far, near = View(1.0, 2.5, 0.0), View(3.0, 2.5, 0.0)
 
-    def worth(*views):
-        return open_questions(grid, kind == OCCUPIED, views, interest, config).sum()
+    def gain(view, *views):
+        return gain_of(view, open_questions(grid, hiding, views, interest, config), grid, hiding, config)
 
-    far, half_near, near = (View(x, 2.5, 0.0) for x in (1.0, 2.5, 3.0))
-    assert worth(far) == worth() == interest.sum()
-    assert worth(far, far) == 0
-    assert 0 < worth(half_near) < interest.sum()
-    assert worth(near) == 0
+    whole = pytest.approx(5.0 * 0.4 * 0.4)
+    assert (gain(far), gain(near)) == (whole, whole)
+    assert (gain(far, far), gain(near, far)) == (0, whole)
+    assert (gain(far, near), gain(near, near)) == (0, 0)
+    goal = goals_in(kind, (1.0, 2.5, 0.0), [far], config=replace(config, room=0.2), interest=interest)[0]
+    assert np.hypot(goal.view.x - 4.2, goal.view.y - 2.5) < 1.6
+    interest[interest > 0] = 0.9
+    assert gain(near, far) == 0
 
 
 def test_what_cannot_be_reached_is_no_goal():
