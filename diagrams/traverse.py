@@ -111,7 +111,8 @@ def make_traverse(scenario: TraverseScenario, meshcat: Meshcat | None = None) ->
     """Builds the drive: station → odometry → local cloud → features → τ → histogram → controller → tracking → station.
 
     The pose is that of the scan matching where there is one, else the odometry's; both begin where the scenario says
-    that the robot stands. The local cloud is always kept on the odometry, which does not jump.
+    that the robot stands. The local cloud is kept on it, too: where tracks slide, odometry is off by decimetres within
+    the minute that points are remembered, and the matched pose jumps by centimetres.
     """
     builder = DiagramBuilder()
     ability = robot_ability(scenario.robot.model, scenario.ability)
@@ -139,7 +140,7 @@ def make_traverse(scenario: TraverseScenario, meshcat: Meshcat | None = None) ->
     connect(builder, station, "rpy", odometry)
     connect(builder, station, "scan_S", local_cloud)
     connect(builder, station, "X_BS", local_cloud)
-    connect(builder, odometry, "X_OB", local_cloud)
+    connect(builder, pose, X_MB, local_cloud, "X_OB")
     connect(builder, local_cloud, "cloud_H", terrain)
     connect(builder, terrain, "features", fuzzy)
     connect(builder, terrain, "features", histogram)

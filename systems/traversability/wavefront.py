@@ -25,7 +25,7 @@ class WavefrontConfig:
     # [m] Kept from obstacles beyond half the robot's width; over the next `comfort` the price rises to `narrow_price`
     # times itself: where it is narrow a long robot cannot turn, and on slopes it slides and leans against things.
     clearance: float = quantity(0.05, unit="m", low=0)
-    comfort: float = quantity(0.35, unit="m", above=0)
+    comfort: float = quantity(0.25, unit="m", above=0)
     narrow_price: float = quantity(4.0, unit="-", low=1)
     # [-] Ground along the way so far is cheaper by this share: what is seen next may change the order of two ways that
     # cost the same, and a robot that follows each time gets nowhere.

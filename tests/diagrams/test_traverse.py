@@ -84,6 +84,17 @@ def test_every_robot_gets_a_station_with_its_own_sensors(robot):
     assert station.HasOutputPort("tilt_angle") == (robot != "crawler")
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_local_cloud_is_kept_on_the_pose_that_steers(robot):
+    diagram = make_traverse(load_traverse("e2827", robot, ["recording=null"]))
+    sources = {}
+    for (system, port), (source, output) in diagram.connection_map().items():
+        key = system.get_name(), system.get_input_port(port).get_name()
+        sources[key] = source.get_name(), source.get_output_port(output).get_name()
+    assert sources["local_cloud", "X_OB"] == sources["controller", "X_MB"] == sources["memory", "X_MB"]
+    assert sources["controller", "X_MB"] == (("slam", "X_MB") if robot == "crawler" else ("odometry", "X_OB"))
+
+
 def test_distance_is_to_what_is_tall_and_not_to_ramps():
     scenario = load_traverse("e2827", "pioneer", ["recording=null"])
     diagram = make_traverse(scenario)
