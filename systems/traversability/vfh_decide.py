@@ -6,6 +6,7 @@ import numpy as np
 
 from .ability import Ability
 from .risk_map import IMPASSABLE
+from .vfh_back import back_up, backed_enough, free, let_go, mark, off_the_slope, room_to_turn, slide_of, stuck
 from .vfh_choice import (
     best_direction,
     nearest_to_goal,
@@ -13,15 +14,25 @@ from .vfh_choice import (
     open_ahead,
     place_to_turn,
     room_behind,
-    turn_depth,
     wrapped,
 )
-from .vfh_state import ARRIVED, BACKING, DRIVING, LOOKING, NO_WAY, TURNING, Command, Sight, VfhConfig, VfhState
+from .vfh_state import (
+    ARRIVED,
+    BACKING,
+    DRIVING,
+    LOOKING,
+    NO_WAY,
+    NOWHERE,
+    TURNING,
+    Command,
+    Decision,
+    Sight,
+    VfhConfig,
+    VfhState,
+)
 from .wavefront import ALWAYS, IF_UNSEEN
 
-Decision = tuple[VfhState, Command]
 _FULL_TURN = 2 * np.pi
-_NOWHERE = (np.nan, np.nan)
 # [rad] A robot that turned so far on one spot goes from one way to another and back.
 _TO_AND_FRO = 1.5 * _FULL_TURN
 # [rad] Within this the robot looks into the direction it wants.
@@ -32,8 +43,6 @@ _AWAY = 0.5
 _THERE = 0.2
 # [m] The ground before a goal so near is not seen any more.
 _NEAR_GOAL = 1.0
-# A robot keeps no more marks than this; the oldest goes first.
-_MOST_MARKS = 64
 
 
 def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
@@ -53,12 +62,12 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     if config.preset == "paper":
         return _paper(state, sight, ability, config)
     state = _watch(state, sight, config)
-    if _stuck(state, sight, config):
-        return _free(state, sight, ability, config)
-    if state.status == BACKING and not _backed_enough(state, sight, ability, config):
+    if stuck(state, sight, config):
+        return free(state, sight, ability, config)
+    if state.status == BACKING and not backed_enough(state, sight, ability, config):
         return state, Command(v_r=-config.back_speed)
     if abs(state.astray) > np.deg2rad(config.caught_turn_deg):
-        return _let_go(state, sight, ability, config)
+        return let_go(state, sight, ability, config)
     if state.status == NO_WAY and state.again < config.confirmations:
         return _rest(state, sight)
     if state.without > 1 or (sight.way is None and state.without > 0):
@@ -89,7 +98,7 @@ def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
         state = replace(state, turned=state.turned + abs(turn), astray=_astray(state, turn, sight.yaw_rate, config))
     there = np.hypot(x - state.held[0], y - state.held[1]) < _THERE
     if there or not np.hypot(x - state.spot[0], y - state.spot[1]) < _AWAY:
-        state = replace(state, turned=0.0, spot=(x, y), held=_NOWHERE)
+        state = replace(state, turned=0.0, spot=(x, y), held=NOWHERE)
     moved = np.hypot(x - state.anchor[0], y - state.anchor[1])
     moved_or_turned = not (
         moved < config.stuck_distance and abs(wrapped(heading - state.anchor[2])) < np.deg2rad(config.stuck_turn_deg)
@@ -112,69 +121,6 @@ def _astray(state: VfhState, turn: float, yaw_rate: float, config: VfhConfig) ->
     return state.astray * float(np.exp(-config.period / config.caught_time)) + beyond
 
 
-def _stuck(state: VfhState, sight: Sight, config: VfhConfig) -> bool:
-    """Whether it was told to move for long, and did not."""
-    return sight.time - state.anchor[3] > config.stuck_time
-
-
-def _free(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
-    """Was told to move and did not: what is ahead is marked, and the robot backs up; if it turned, the other way. If it
-    backed up, it does so no farther."""
-    anchor = (*state.anchor[:3], sight.time)
-    if state.status == DRIVING and np.isfinite(state.aim):
-        state = _mark(state, sight, state.aim, 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
-    state = replace(state, anchor=anchor, side=-state.side, aim=np.nan)
-    if state.status == BACKING:
-        return replace(state, back_to=0.0), Command()
-    if state.status in (DRIVING, TURNING) and room_behind(sight.obstacles, ability.footprint):
-        return _back_up(state, sight, config.back_distance, config)
-    return state, Command()
-
-
-def _let_go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
-    """Something holds one side back and turns the robot: that side's front is marked, and the robot backs up."""
-    side, (length, width) = float(np.sign(state.astray)), ability.footprint
-    at = complex(0.25 * length, 0.5 * side * width)
-    state = _mark(state, sight, sight.pose[2] + float(np.angle(at)), abs(at), ability, ALWAYS)
-    state = replace(state, astray=0.0, aim=np.nan, anchor=(*state.anchor[:3], sight.time))
-    if room_behind(sight.obstacles, ability.footprint):
-        return _back_up(state, sight, config.back_distance, config)
-    return state, Command()
-
-
-def _backed_enough(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> bool:
-    level = not _slides(sight, ability, 0.5 * config.longest_slide)
-    for_room = state.backed and level and _room_to_turn(sight, state.side * np.pi / 2, ability)
-    return for_room or _backed_far(state, sight, config) or not room_behind(sight.obstacles, ability.footprint)
-
-
-def _backed_far(state: VfhState, sight: Sight, config: VfhConfig) -> bool:
-    """Whether it backed up as far as it was to, or had the time to and did not get there."""
-    x, y, since = state.back_from
-    late = sight.time - since > 2 * state.back_to / config.back_speed + 1.0
-    return late or float(np.hypot(sight.pose[0] - x, sight.pose[1] - y)) >= state.back_to
-
-
-def _slide(sight: Sight, ability: Ability) -> tuple[float, float]:
-    """Downhill, as far as a turn slides the robot that is aligned with it [m/rad]."""
-    return ability.turn_slide * sight.downhill[0], ability.turn_slide * sight.downhill[1]
-
-
-def _slides(sight: Sight, ability: Ability, limit: float) -> bool:
-    return float(np.hypot(*_slide(sight, ability))) > limit
-
-
-def _room_to_turn(sight: Sight, turn: float, ability: Ability) -> bool:
-    return turn_depth(sight.obstacles, ability.footprint, turn, _slide(sight, ability)) <= 0
-
-
-def _back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) -> Decision:
-    x, y, _ = (float(value) for value in sight.pose)
-    anchor = (*state.anchor[:3], sight.time)
-    state = replace(state, status=BACKING, back_from=(x, y, sight.time), back_to=distance, anchor=anchor)
-    return state, Command(v_r=-config.back_speed)
-
-
 def _look_around(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
     """No way is known: turns once to see all around, then says so when it is confirmed.
 
@@ -188,7 +134,7 @@ def _look_around(state: VfhState, sight: Sight, ability: Ability, config: VfhCon
     if state.without >= config.confirmations:
         near = np.hypot(*(sight.goal - sight.pose[:2])) < _NEAR_GOAL
         if near and not state.looked_back and room_behind(sight.obstacles, ability.footprint):
-            return _back_up(replace(state, looked_back=True, backed=False), sight, _NEAR_GOAL, config)
+            return back_up(replace(state, looked_back=True, backed=False), sight, _NEAR_GOAL, config)
         return _rest(replace(state, status=NO_WAY, side=0.0, again=0), sight)
     return _rest(state, sight)
 
@@ -296,37 +242,20 @@ def _turn(state: VfhState, sight: Sight, wanted: float, ability: Ability, config
     not make it turn to and fro.
     """
     side = state.side if state.side and abs(wanted) > np.pi / 2 else float(np.sign(wanted) or 1.0)
-    turn, slide = side * min(abs(wanted), np.pi / 2), _slide(sight, ability)
-    off = _off_the_slope(replace(state, side=side), sight, ability, config)
+    turn, slide = side * min(abs(wanted), np.pi / 2), slide_of(sight, ability)
+    off = off_the_slope(replace(state, side=side), sight, ability, config)
     if off is not None:
         return off
-    if not _room_to_turn(sight, turn, ability):
+    if not room_to_turn(sight, turn, ability):
         back = place_to_turn(sight.obstacles, ability.footprint, turn, slide, config.longest_back)
         if not state.backed and back > 0:
-            return _back_up(replace(state, side=side, backed=True, aim=np.nan), sight, back, config)
-        if abs(wanted) > np.pi / 2 and _room_to_turn(sight, -side * np.pi / 2, ability):
+            return back_up(replace(state, side=side, backed=True, aim=np.nan), sight, back, config)
+        if abs(wanted) > np.pi / 2 and room_to_turn(sight, -side * np.pi / 2, ability):
             side = -side
     if state.status not in (TURNING, LOOKING):
         state = replace(state, anchor=(*state.anchor[:3], sight.time))
     rate = float(np.clip(config.turn_gain * abs(wanted), config.min_turn_rate, ability.max_yaw_rate))
     return replace(state, status=status, side=side, aim=np.nan), Command(omega_r=side * rate)
-
-
-def _off_the_slope(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision | None:
-    """Backs up from where a turn would slide it to where it does not half as far, at most by `longest_back`.
-
-    What is ahead is marked: a way that bends there is none.
-    """
-    if not _slides(sight, ability, config.longest_slide) or not room_behind(sight.obstacles, ability.footprint):
-        return None
-    if not state.backed:
-        state = _mark(state, sight, sight.pose[2], 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
-        return _back_up(replace(state, backed=True, aim=np.nan), sight, config.longest_back, config)
-    if _backed_far(state, sight, config):
-        return None
-    # On a crest it stood level, and slides as soon as it turns.
-    after, command = _back_up(state, sight, state.back_to, config)
-    return replace(after, back_from=state.back_from), command
 
 
 def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision:
@@ -339,14 +268,8 @@ def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, con
     heading = sight.pose[2] + wanted
     end = sight.pose[:2] + config.near * np.array([np.cos(heading), np.sin(heading)])
     all_seen = sight.field is not None and sight.field.line(sight.pose[:2], end)[2]
-    state = _mark(state, sight, heading, ahead, ability, ALWAYS if all_seen else IF_UNSEEN)
+    state = mark(state, sight, heading, ahead, ability, ALWAYS if all_seen else IF_UNSEEN)
     return _rest(replace(state, refused_since=np.nan, status=LOOKING), sight)
-
-
-def _mark(state: VfhState, sight: Sight, heading: float, ahead: float, ability: Ability, kind: float) -> VfhState:
-    x, y = sight.pose[:2] + ahead * np.array([np.cos(heading), np.sin(heading)])
-    mark = (float(x), float(y), max(0.5 * min(ability.footprint), 0.15), kind)
-    return replace(state, marks=(*state.marks, mark)[-_MOST_MARKS:], turned=0.0, held=_NOWHERE)
 
 
 def _rest(state: VfhState, sight: Sight) -> Decision:

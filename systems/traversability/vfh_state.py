@@ -12,6 +12,7 @@ from .wavefront import CostField, WavefrontConfig
 PRESETS = ("full", "paper")
 DRIVING, TURNING, BACKING, LOOKING = "driving", "turning", "backing", "looking"
 ARRIVED, NO_WAY = "arrived", "no way"
+NOWHERE = (np.nan, np.nan)
 
 
 @dataclass(kw_only=True)
@@ -155,3 +156,6 @@ class Command:
     v_r: float = 0.0
     omega_r: float = 0.0
     risk: float = 0.0
+
+
+Decision = tuple[VfhState, Command]
