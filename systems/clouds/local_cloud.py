@@ -90,7 +90,8 @@ class LocalCloud(LeafSystem):
     robot, and that later scans have seen through, so that what has moved away is not in the way any more.
 
     - `X_OB` (`RigidTransform`): pose of the base B in O, z up. Points stay where they were measured in O: odometry that
-      does not jump is better here than a corrected pose, after whose jump older points are off by as much.
+      does not jump is better here than a corrected pose, after whose jumps older points are off by as much, unless it
+      drifts farther than that while they are remembered, as where tracks slide.
     - `X_BS` (`RigidTransform`): pose of the sensor in the base, now or at the end of the scan; a tilt unit moves it.
     - `cloud_H` (`open3d.t.geometry.PointCloud`): positions (N, 3) float32 [m] in the heading frame H of now: origin on
       the ground below the base's origin, z up, x ahead as seen from above, see `heading_frame`. Empty before the
