@@ -34,7 +34,6 @@ def make_interest(
         height: points this near to the ground of a cell are ground [m]. max_gap: widest gap that is closed, and how far
             from the points of a puddle the rest of it lies [m].
     """
-    interest = np.ones(grid.shape, np.float32)
     points, water = cloud_points(cloud), cloud_attribute(cloud, "water_probability")
     usable = np.isfinite(water)
     usable[usable] = grid.contains(points[usable, :2])
@@ -51,7 +50,7 @@ def make_interest(
     worth = entropy(water) * np.where(suspicious, suspicion, 1.0)
     told = np.full(grid.shape, -np.inf)
     np.maximum.at(told, (cells[0][ground], cells[1][ground]), worth[ground])
-    told = np.where(np.isfinite(told), told, interest)
+    told = np.where(np.isfinite(told), told, 1.0)
     doubted, answered = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
     for mask, which in ((doubted, suspicious), (answered, looked)):
         mask[cells[0][ground & which], cells[1][ground & which]] = True
