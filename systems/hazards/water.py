@@ -100,8 +100,9 @@ def water_probability(
     water: things far away, upright things, things that a LiDAR sees.
 
     Without near-infrared the LiDAR counts `lidar_alone` times, so that it declares water only where it is sure. A patch
-    of probable water on which the two do not agree (`agreement`) is doubted as a whole: its points are held just below
-    `min_probability`. Where neither has looked, the probability is NaN: not known.
+    of probable water on which the two do not agree (`agreement`) is doubted as a whole, and so is what would be a
+    puddle of its own beside it and is not dark: its points are held just below `min_probability`. Where neither has
+    looked, the probability is NaN: not known.
 
     Args:
         p_MP: (N, 3) [m], in a frame whose z points up.
@@ -161,14 +162,19 @@ def water_probability(
 def _without_agreement(
     p_MP: np.ndarray, probability: np.ndarray, dark: np.ndarray, wet: np.ndarray, config: WaterConfig
 ) -> np.ndarray:
-    """Indices of points that are probably water, in patches where near-infrared or LiDAR does not speak for it."""
+    """Indices of points that are probably water, in patches where near-infrared or LiDAR does not speak for it.
+
+    What would be a puddle of its own must be dark itself: missing shots beside a puddle are no part of it.
+    """
     with np.errstate(invalid="ignore"):
         chosen = np.flatnonzero(probability >= config.min_probability)
-    group = group_points(p_MP[chosen, :2], config.regions.cell, _PATCH * config.regions.reach)
-    size = np.maximum(np.bincount(group), 1)
-    shares = [np.bincount(group, says[chosen], len(size)) / size for says in (dark, wet)]
-    doubted = np.minimum(*shares) < config.agreement if len(chosen) else np.zeros(1, bool)
-    return chosen[doubted[group]]
+    doubted = np.zeros(len(chosen), bool)
+    for reach, needed in ((_PATCH * config.regions.reach, (dark, wet)), (config.regions.reach, (dark,))):
+        group = group_points(p_MP[chosen, :2], config.regions.cell, reach)
+        for says in needed:
+            share = np.bincount(group, says[chosen]) / np.maximum(np.bincount(group), 1)
+            doubted |= share[group] < config.agreement
+    return chosen[doubted]
 
 
 def find_puddles(p_MP: np.ndarray, probability: np.ndarray, config: WaterConfig | None = None) -> tuple[Region, ...]:

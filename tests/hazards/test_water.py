@@ -199,6 +199,20 @@ def test_a_patch_is_water_only_where_near_infrared_and_lidar_agree():
     assert len(find_puddles(p_MP, without)) == 3
 
 
+def test_missing_shots_beside_a_puddle_are_no_puddle_of_their_own():
+    """Under a stair, say, 0.4 m from a puddle: too far to be its rest, near enough to pass for a part of its patch."""
+    p_MP, nir, shots = patches("both")
+    beside = (np.abs(p_MP[:, 0] - 0.8) < 0.11) & (np.abs(p_MP[:, 1]) < 0.11)
+    nir[beside] = np.nan
+    xy = np.repeat(p_MP[beside, :2], 20, axis=0)
+    shots = shots.add(Shots(xy, np.full(len(xy), MISSING, np.uint8), np.full(len(xy), 3.0), np.ones(len(xy))))
+    level = np.zeros(len(p_MP))
+    probability = water_probability(p_MP, nir=nir, nir_range=level + 2, tilt=level, shots=shots)
+    assert (probability[beside] < 0.5).all()
+    assert (probability[beside] > 0.3).all()
+    assert len(find_puddles(p_MP, probability)) == 1
+
+
 def test_without_any_near_infrared_lidar_may_speak_for_itself():
     p_MP, _, shots = patches("both")
     probability = water_probability(p_MP, tilt=np.zeros(len(p_MP)), shots=shots)
