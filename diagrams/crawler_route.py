@@ -4,7 +4,6 @@ Importing this module registers it; `gymnasium.make("naraha.diagrams.crawler_rou
 """
 
 import math
-import weakref
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +14,7 @@ from naraha.systems.config import check_config, quantity
 from naraha.systems.drive import MotionPrimitivesConfig
 from naraha.systems.drive.motion_primitives import Motion
 from naraha.systems.errors import InputError
+from naraha.systems.ports import weak_method
 from naraha.systems.routes import ACTIONS, FENCE, FREE, HEADINGS, KINDS, RouteTask
 from naraha.systems.routes.grid_route import example_task
 from naraha.systems.tracking import planar_pose
@@ -22,7 +22,7 @@ from pydrake.gym import DrakeGymEnv
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, EventStatus
+from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from .grid_world import world_of
 from .motions import make_motions
@@ -57,6 +57,19 @@ class CrawlerRouteConfig:
     time_step: float = quantity(0.02, unit="s", above=0)
     # Speeds and tolerances of the motions; their step is the cell of the grid.
     motions: MotionPrimitivesConfig = field(default_factory=MotionPrimitivesConfig)
+
+
+def _motions_in(world: World, start: np.ndarray, cell: float, config: CrawlerRouteConfig) -> Diagram:
+    """The crawler at `start` in `world`, with motions of a cell."""
+    station = StationConfig(
+        robot=RobotConfig(start_xyz=start[:2].tolist(), start_yaw_deg=float(np.rad2deg(start[2]))),
+        plant=MultibodyPlantConfig(time_step=config.time_step, discrete_contact_approximation="lagged"),
+        lidar=None,
+    )
+    # With the truth it is only the flippers that look at it.
+    station.imu.period = 0.02 if config.localisation == "odometry" else 0.04
+    motions = MotionPrimitivesConfig(**{**vars(config.motions), "step": cell})
+    return make_motions(station, motions, seed=0, world=world, localisation=config.localisation)
 
 
 class CrawlerRouteEnv(DrakeGymEnv):
@@ -106,41 +119,13 @@ class CrawlerRouteEnv(DrakeGymEnv):
         self._start = self._usable(start)
         self._next_start = self._start
         self._bumped, self._before = "", np.zeros(3)
-        station = StationConfig(
-            robot=RobotConfig(start_xyz=self._start[:2].tolist(), start_yaw_deg=float(np.rad2deg(self._start[2]))),
-            plant=MultibodyPlantConfig(time_step=config.time_step, discrete_contact_approximation="lagged"),
-            lidar=None,
-        )
-        # With the truth it is only the flippers that look at it.
-        station.imu.period = 0.02 if config.localisation == "odometry" else 0.04
-        motions = MotionPrimitivesConfig(**{**vars(config.motions), "step": task.grid.cell})
-        diagram = make_motions(
-            station,
-            motions,
-            seed=0,
-            world=world or world_of(task.grid),
-            localisation=config.localisation,
-        )
-        plant = subsystem(diagram, "station", "plant")
-        simulator = Simulator(diagram)
-        context = simulator.get_mutable_context()
-        self._plant, self._plant_context = plant, plant.GetMyMutableContextFromRoot(context)
-        self._motions_context = subsystem(diagram, "primitives").GetMyMutableContextFromRoot(context)
-        self._base = plant.GetBodyByName("base", plant.GetModelInstanceByName("robot"))
-        self._base_height = station.robot.known_model().base_height
-        diagram.GetInputPort("action").FixValue(context, [-1.0])
+        simulator = Simulator(_motions_in(world or world_of(task.grid), self._start, task.grid.cell, config))
+        self._look_up(simulator)
         space = (
             gym.spaces.MultiDiscrete([*task.grid.shape, HEADINGS])
             if self._kind == "cell"
             else gym.spaces.Box(-1.0, 1.0, (4,), np.float32)
         )
-        reset = weakref.WeakMethod(self._place)
-
-        def place(simulator: Simulator, context: Context, seed: int | None) -> None:
-            method = reset()
-            if method is not None:
-                method(simulator, context)
-
         super().__init__(
             simulator,
             time_step=_LONGEST,
@@ -149,20 +134,24 @@ class CrawlerRouteEnv(DrakeGymEnv):
             reward=lambda system, context: 0.0,
             action_port_id="action",
             observation_port_id="cheat.X_WB",
-            reset_handler=place,  # type: ignore[arg-type] # it is called with three
+            reset_handler=weak_method(self._place),
         )
         self.metadata = {"render_modes": []}  # the base class fills in what this environment does not have
         self.render_mode = render_mode
         self.action_space = gym.spaces.Discrete(len(ACTIONS))
-        watch = weakref.WeakMethod(self._watch)
-
-        def monitor(context: Context) -> EventStatus:
-            method = watch()
-            return EventStatus.DidNothing() if method is None else method(context)
-
         self._driving = False
-        self._held = context.Clone()
-        simulator.set_monitor(monitor)
+        self._held = simulator.get_context().Clone()
+        simulator.set_monitor(weak_method(self._watch))
+
+    def _look_up(self, simulator: Simulator) -> None:
+        """Keeps what is asked for again and again."""
+        diagram, context = simulator.get_system(), simulator.get_mutable_context()
+        self._plant = subsystem(diagram, "station", "plant")
+        self._plant_context = self._plant.GetMyMutableContextFromRoot(context)
+        self._motions_context = subsystem(diagram, "primitives").GetMyMutableContextFromRoot(context)
+        self._base = self._plant.GetBodyByName("base", self._plant.GetModelInstanceByName("robot"))
+        self._base_height = RobotConfig().known_model().base_height
+        diagram.GetInputPort("action").FixValue(context, [-1.0])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -196,7 +185,7 @@ class CrawlerRouteEnv(DrakeGymEnv):
         self._motions_context.SetDiscreteState(Motion().to_state())
         return self._observation(pose), reward, reached, truncated, self._info(pose, reached)
 
-    def _place(self, simulator: Simulator, context: Context) -> None:
+    def _place(self, simulator: Simulator, context: Context, seed: int | None) -> None:
         """Puts the robot to its start, a little off, and lets it settle."""
         config = self.config
         x, y, heading = self._next_start

@@ -9,18 +9,17 @@ from pydrake.systems.framework import Context, LeafSystem
 from .errors import PortError
 
 
-def weak_method(method: Callable[..., None]) -> Callable[..., None]:
-    """Returns a callback that calls bound `method` without keeping its system alive.
+def weak_method[R](method: Callable[..., R]) -> Callable[..., R | None]:
+    """Returns a callback that calls bound `method` without keeping its object alive; None when it is gone.
 
     Drake 1.58 on Python 3.12 never frees a system whose bound method was given to `DeclareAbstractOutputPort`
     (vector outputs, inputs, state and events do not have this problem).
     """
     reference = weakref.WeakMethod(method)
 
-    def call(*args: Any) -> None:
+    def call(*args: Any) -> R | None:
         target = reference()
-        if target is not None:
-            target(*args)
+        return None if target is None else target(*args)
 
     return call
 
