@@ -1,6 +1,6 @@
 """`naraha learn`: routes on a semantic map, learnt, certified and written as CSV."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,45 +88,12 @@ def load_learn(
 def learn_routes(map_file: Path, scenario: LearnScenario, options: Options) -> int:
     """Runs the mission, writes `policy_0.csv` and `routes.csv`, and returns the exit code."""
     mission = Mission("learn", scenario, options)
-    ability = robot_ability(scenario.robot) if scenario.robot else None
-    grid = make_route_grid(read_scan(map_file), ability, scenario.world)
-    paper = scenario.preset == "paper"
-    rewards = paper_rewards() if paper else scenario.rewards
-    config = paper_learning() if paper else scenario.learning
-    goal = (scenario.goal[0], scenario.goal[1])
-    measured = scenario.motions == "measured"
-    motion = motion_model(robot_primitives(scenario.robot), grid.cell) if measured else deterministic()
-    task = RouteTask(grid, goal, rewards, motion)
-    x, y, heading = scenario.start
-    pose = np.array([x, y, np.deg2rad(heading)])
-    state = task.state_of(pose)
-    reused = [read_policy(path) for path in scenario.reuse]
-
-    def tell(learning: Learning, gap: float) -> None:
-        if stopped():
-            raise KeyboardInterrupt
-
+    task, pose = _task_on(map_file, scenario)
+    grid = task.grid
     with mission.timed(), stop_flag() as stopped:
-        values = reuse_values(task, reused) if reused else None
-        start = begin(task, state, config, seed=scenario.seed, q=values)
-        learned: Learned = learn(
-            task,
-            start,
-            config,
-            gap=-1.0 if paper else scenario.gap,
-            most_steps=scenario.most_steps,
-            most_episodes=scenario.most_episodes or (130 if paper else None),
-            progress=tell,
-        )
-    routes = find_routes(grid, pose, np.array(goal), scenario.routes) if learned.status != "unreachable" else ()
-    endings = {
-        "certified": Ending(
-            "done", f"the route loses at most {100 * max(learned.gap, 0):.1f} % more than the best one"
-        ),
-        "budget": Ending("done", "all steps are used"),
-        "unreachable": Ending("failed", "no way leads from the start to the goal"),
-        "interrupted": Ending("interrupted", f"interrupted after {learned.learning.steps} steps"),
-    }
+        learned = _learn(task, pose, scenario, stopped)
+    known_way = learned.status != "unreachable"
+    routes = find_routes(grid, pose, np.array(scenario.goal), scenario.routes) if known_way else ()
 
     def write_metrics() -> None:
         learning = learned.learning
@@ -149,4 +116,49 @@ def learn_routes(map_file: Path, scenario: LearnScenario, options: Options) -> i
         for i, route in enumerate(routes, 1):
             options.console.print(f"route {i}: {route.label}", markup=False, highlight=False)
 
-    return mission.finish(endings[learned.status], write_metrics, write_policies, write_offers)
+    return mission.finish(_ending(learned), write_metrics, write_policies, write_offers)
+
+
+def _task_on(map_file: Path, scenario: LearnScenario) -> tuple[RouteTask, np.ndarray]:
+    """What is to be learnt on the map, and the pose at the start, (3,) [m, m, rad]."""
+    ability = robot_ability(scenario.robot) if scenario.robot else None
+    grid = make_route_grid(read_scan(map_file), ability, scenario.world)
+    measured = scenario.motions == "measured"
+    motion = motion_model(robot_primitives(scenario.robot), grid.cell) if measured else deterministic()
+    rewards = paper_rewards() if scenario.preset == "paper" else scenario.rewards
+    task = RouteTask(grid, (scenario.goal[0], scenario.goal[1]), rewards, motion)
+    x, y, heading = scenario.start
+    return task, np.array([x, y, np.deg2rad(heading)])
+
+
+def _learn(task: RouteTask, pose: np.ndarray, scenario: LearnScenario, stopped: Callable[[], bool]) -> Learned:
+    """Learns until the route is certified, the budget is used up, or somebody stops it."""
+    paper = scenario.preset == "paper"
+    config = paper_learning() if paper else scenario.learning
+    state = task.state_of(pose)
+    reused = [read_policy(path) for path in scenario.reuse]
+
+    def tell(learning: Learning, gap: float) -> None:
+        if stopped():
+            raise KeyboardInterrupt
+
+    values = reuse_values(task, reused) if reused else None
+    return learn(
+        task,
+        begin(task, state, config, seed=scenario.seed, q=values),
+        config,
+        gap=-1.0 if paper else scenario.gap,
+        most_steps=scenario.most_steps,
+        most_episodes=scenario.most_episodes or (130 if paper else None),
+        progress=tell,
+    )
+
+
+def _ending(learned: Learned) -> Ending:
+    gap = f"the route loses at most {100 * max(learned.gap, 0):.1f} % more than the best one"
+    return {
+        "certified": Ending("done", gap),
+        "budget": Ending("done", "all steps are used"),
+        "unreachable": Ending("failed", "no way leads from the start to the goal"),
+        "interrupted": Ending("interrupted", f"interrupted after {learned.learning.steps} steps"),
+    }[learned.status]
