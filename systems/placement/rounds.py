@@ -21,12 +21,14 @@ class Verification:
         max_error: largest error of its position that was seen [m].
         where: (2,) true place where the error became too large in W [m]; None when it was not the error that failed.
         why: in words, "" when it was ok.
+        limit: error with which it fails [m]; None when that is the error that the problem allows.
     """
 
     ok: bool
     max_error: float
     where: np.ndarray | None = None
     why: str = ""
+    limit: float | None = None
 
     def __deepcopy__(self, memo: dict) -> "Verification":
         return self
@@ -46,8 +48,8 @@ class RoundsConfig:
     retries: int = quantity(6, unit="rounds", low=0)
     # [m] Around the place of a failure within which the error must be smaller from then on.
     radius: float = quantity(6.0, unit="m", above=0)
-    # [-] Least and most of the error that was expected there that is then allowed: between them, what was allowed over
-    # what was measured.
+    # [-] Least and most of the error that was expected there that is then allowed: between them, what the run
+    # allowed over what was measured.
     tighten: list[float] = quantity([0.5, 0.8], low=0.01, high=0.99, min_length=2)
     # [-] Preset "paper": from nodes there landmarks count no farther than this share of before, and a side without one
     # costs so much more.
@@ -139,7 +141,7 @@ def run_rounds(
         # Two bounds may give one placement, and a later attempt an earlier one.
         new = {_what_is_driven(p): p for p in placements if _what_is_driven(p) not in driven}
         runs = iter(map_(verify, [problem.plan] * len(new), new.values(), [p.sites for p in new.values()]))
-        failed = []
+        failed, learnt = [], set()
         for least, placement in zip(pending, placements, strict=True):
             what = _what_is_driven(placement)
             seen = driven[what] if what in driven else driven.setdefault(what, next(runs))
@@ -148,7 +150,10 @@ def run_rounds(
                 report(rounds[-1])
             if not seen.ok:
                 failed.append(least)
-                problem = learn_from(problem, placement, seen, config)
+                # Two bounds that gave one placement failed once.
+                if what not in learnt:
+                    learnt.add(what)
+                    problem = learn_from(problem, placement, seen, config)
         if not failed:
             break
         pending = failed
@@ -167,7 +172,7 @@ def learn_from(
     there, everywhere when it is not known where it was. So that placement is within the limit no more. As the paper
     counts, landmarks must be nearer there."""
     poses, errors = problem.errors_along(placement.order, placement.chosen)
-    allowed = problem.config.error_limit
+    allowed = problem.config.error_limit if seen.limit is None else seen.limit
     least, most = config.tighten
     share = min(max(allowed / max(seen.max_error, 1e-9), least), most)
     near_pose, near_node = np.ones(len(problem.poses), bool), np.ones(len(problem.sight.places), bool)

@@ -91,6 +91,32 @@ def test_what_failed_is_within_the_limit_no_more_and_far_away_nothing_changes():
     assert everywhere.limit.max() == pytest.approx(0.5 * errors.max())
 
 
+def test_less_is_allowed_the_more_a_run_exceeded_its_own_limit():
+    problem = small_problem(0.3)
+    placement = run_rounds(problem, strict_world(problem, 1.0), CONFIG).rounds[-1].placement
+    _, errors = problem.errors_along(placement.order, placement.chosen)
+    for limit, share in ((0.26, 0.65), (None, 0.75)):
+        after = learn_from(problem, placement, Verification(False, 0.4, None, "lost", limit), CONFIG)
+        assert after.limit.max() == pytest.approx(share * errors.max())
+
+
+def test_two_bounds_that_gave_one_placement_learn_from_its_failure_once():
+    problem = small_problem(0.3)
+    truth, before = strict_world(problem, 1.5), []
+
+    def verify(plan, placement, sites):
+        before.append(placement)
+        return truth(plan, placement, sites)
+
+    found = run_rounds(problem, verify, replace(CONFIG, shares=[0.0, 0.0], retries=0))
+    assert [r.verification.ok for r in found.rounds] == [False, False]
+    assert len(before) == 1
+    once = learn_from(problem, before[0], found.rounds[0].verification, CONFIG)
+    np.testing.assert_array_equal(found.problem.sight.reach, once.sight.reach)
+    np.testing.assert_array_equal(found.problem.sight.penalty, once.sight.penalty)
+    assert (once.sight.penalty > 0).any()
+
+
 def test_the_paper_preset_puts_landmarks_where_it_failed():
     """As in the paper: five landmarks fail, and another one is put up where they did."""
     problem = make_problem(load_floor_plan("construction_hall"))
