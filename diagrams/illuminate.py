@@ -25,7 +25,7 @@ from .illuminate_drawing import (
     save_figure,
 )
 from .illuminate_drawing import TRUTH as TRUTH_COLOUR
-from .illuminate_files import write_landmarks, write_map, write_points, write_route, write_track
+from .illuminate_files import write_landmarks, write_light, write_map, write_points, write_route, write_track
 from .illuminate_log import IlluminateLog, RunRecord
 from .illuminate_planning import Planned, PlanningConfig, plan_measuring
 from .illuminate_run import STEP
@@ -53,6 +53,9 @@ class IlluminateScenario(MeasuringRunConfig):
     slam_limit: float = quantity(0.4, unit="m", above=0)
     # [m] Every point must be measured within this; the paper's limit.
     position_limit: float = quantity(0.5, unit="m", above=0)
+    # [m] Least distance from each other of what the illuminance map takes of the meter's readings on the way: points
+    # that lie at alike places between lamps do not show how the light changes from one to the next.
+    reading_spacing: float = quantity(2.0, unit="m", above=0)
     # [m] Grid of the illuminance map.
     map_spacing: float = quantity(0.5, unit="m", above=0)
     # Null leaves no recording.html.
@@ -69,6 +72,11 @@ def load_illuminate(name: str, settings: Sequence[str] = (), seed: int | None = 
     for i, site in enumerate(scenario.sites):
         if len(site) != 2 or not np.isfinite(site).all():
             raise ScenarioError("not a place", where=name, key=f"sites[{i}]", value=site, valid="x, y [m]")
+    planning, limit = scenario.planning, scenario.slam_limit
+    if planning is not None and planning.slam_limit > limit:
+        valid = f"at most slam_limit, {limit:g} m"
+        key = "planning.slam_limit"
+        raise ScenarioError("more than the run allows", where=name, key=key, value=planning.slam_limit, valid=valid)
     return scenario
 
 
@@ -121,9 +129,7 @@ def _planned(scenario: IlluminateScenario, plan: FloorPlan, options: Options) ->
         way = straight_route(plan)
         sites = np.array(scenario.sites, float).reshape(-1, 2)
         return Planned(MeasuringRoute(way.route, way.stops, way.points, sites))
-    return plan_measuring(
-        scenario.planning, scenario, plan, scenario.seed, slam_limit=scenario.slam_limit, console=options.console
-    )
+    return plan_measuring(scenario.planning, scenario, plan, scenario.seed, console=options.console)
 
 
 def judged(record: RunRecord, position_limit: float) -> Ending:
@@ -198,11 +204,12 @@ def run_products(
             write_tum(mission.path(file), record.track[:, 0], np.array(poses))
 
     def write_illuminance_map() -> None:
-        measured = [p.measured for p in record.points if p.measured is not None]
-        if len(measured) < 3:
+        assert scenario.meter is not None  # without one no run is built
+        where, values = record.light(scenario.meter.period, scenario.reading_spacing)
+        if len(values) < 3:
             mission.options.console.print("too few points for a map of the illuminance", markup=False)
             return
-        where, values = np.array([[m.x, m.y] for m in measured]), np.array([m.illuminance for m in measured])
+        write_light(mission.path("light.csv"), where, values)
         field = fit_field(where, values, sight=plan.sight)
         write_map(mission.path("illuminance_map.csv"), plan, field, scenario.map_spacing)
         figure = draw_illuminance(plan, field, spacing=scenario.map_spacing, windows=scenario.hall.windows)

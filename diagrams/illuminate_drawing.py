@@ -134,7 +134,7 @@ def draw_errors(problem: PlacementProblem, placement: Placement, track: np.ndarr
 def draw_illuminance(
     plan: FloorPlan, field: IlluminanceField, *, spacing: float = 0.5, windows: Sequence[Window] = ()
 ) -> Figure:
-    """Maps of the illuminance between the measured points and of its standard deviation [lux]."""
+    """Maps of the illuminance between the places where it was measured and of its standard deviation [lux]."""
     ratio = float(plan.size[1] / plan.size[0])
     figure = Figure(figsize=(11, 5.0 * ratio + 1.0), layout="constrained")
     xs, ys = (plan.origin[i] + np.arange(spacing / 2, plan.size[i], spacing) for i in range(2))
@@ -152,7 +152,7 @@ def draw_illuminance(
             along = half * np.array([-np.sin(yaw), np.cos(yaw)])
             ends = np.array(window.xyz[:2]) + np.outer([-1, 1], along)
             axes.plot(*ends.T, color=WINDOW, lw=4, solid_capstyle="butt")
-        axes.plot(*field.points.T, "o", mfc="none", mec="w", ms=5)
+        axes.plot(*field.points.T, "o", mfc="none", mec="w", ms=4)
         axes.set_title(name, fontsize=10)
         figure.colorbar(picture, ax=axes, shrink=0.8)
     return figure

@@ -41,6 +41,14 @@ def write_track(path: Path, record: RunRecord) -> None:
             table.writerow([f"{value:.4f}" for value in (*row[:7], error, deviation, row[7])])
 
 
+def write_light(path: Path, places: np.ndarray, values: np.ndarray) -> None:
+    """Writes what the map of the illuminance is made from, a line a value (n,) [lux], with its place (n, 2) [m]."""
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["x_m", "y_m", "illuminance_lux"])
+        table.writerows([*_metres(place), f"{value:.2f}"] for place, value in zip(places, values, strict=True))
+
+
 def write_route(path: Path, way: MeasuringRoute) -> None:
     """Writes the route, a line a point: x, y, and the measuring point that it is, if any."""
     point_at = dict(zip(way.stops.tolist(), way.points.tolist(), strict=True))

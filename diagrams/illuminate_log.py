@@ -50,12 +50,14 @@ class RunRecord:
         points: all measuring points, in the order of the route.
         track: (t, 8) time, true x, y, heading, believed x, y, heading [s, m, rad], and health of the localisation.
         deviation: (t,) largest standard deviation of the believed position [m].
+        shown: (t,) what the meter showed [lux].
     """
 
     ending: Ending
     points: tuple[PointRecord, ...]
     track: np.ndarray
     deviation: np.ndarray
+    shown: np.ndarray
     failed_at: tuple[float, float] | None = None
     lost: bool = False
 
@@ -67,6 +69,27 @@ class RunRecord:
     def slam_errors(self) -> np.ndarray:
         """Distance of believed and true position over time, (t,) [m]."""
         return np.hypot(*(self.track[:, 4:6] - self.track[:, 1:3]).T)
+
+    def light(self, period: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+        """What the robot knows of the light: the values at the measuring points, then what the meter showed on the way.
+
+        Args:
+            period: of the meter [s]; a reading is shown from its own time on until the next.
+            spacing: least distance of a reading on the way from all others [m].
+
+        Returns:
+            Where the robot believed to be, (n, 2) [m], and values (n,) [lux].
+        """
+        taken = [p.measured for p in self.points if p.measured is not None]
+        places, values = [np.array([m.x, m.y]) for m in taken], [m.illuminance for m in taken]
+        # The state that is seen at a time is the one before what happens then.
+        number = np.ceil(self.track[:, 0] / period - 1e-6).astype(int) - 1
+        for row in np.flatnonzero((np.diff(number, prepend=-1) > 0) & (number >= 0)):
+            x, y = (np.interp(number[row] * period, self.track[:, 0], self.track[:, k]) for k in (4, 5))
+            if all(np.hypot(x - place[0], y - place[1]) >= spacing for place in places):
+                places.append(np.array([x, y]))
+                values.append(float(self.shown[row]))
+        return np.array(places).reshape(-1, 2), np.array(values)
 
     def metrics(self) -> dict[str, float | int]:
         """What the run is judged by, by the truth."""
@@ -92,6 +115,7 @@ class RunRecord:
 class _Gathered:
     track: list[list[float]] = field(default_factory=list)
     deviation: list[float] = field(default_factory=list)
+    shown: list[float] = field(default_factory=list)
 
 
 class IlluminateLog(DiagramReader):
@@ -116,6 +140,7 @@ class IlluminateLog(DiagramReader):
         known = self.read("localizer.localization")
         self._gathered.track.append([time, *true, *believed, known.health])
         self._gathered.deviation.append(float(np.sqrt(np.linalg.eigvalsh(known.covariance[:2, :2])[-1])))
+        self._gathered.shown.append(float(self.read("station.illuminance")[0]))
         tour = self.read("tour.tour")
         self._status = str(self.read("tour.status"))
         for _ in range(len(self._true), len(tour.measurements)):
@@ -155,5 +180,6 @@ class IlluminateLog(DiagramReader):
                 points.append(PointRecord(point, asked))
         track = np.array(self._gathered.track)
         failed_at = None if ending.status == "done" else (float(track[-1, 1]), float(track[-1, 2]))
-        record = RunRecord(ending, tuple(points), track, np.array(self._gathered.deviation), failed_at)
+        gathered = (np.array(self._gathered.deviation), np.array(self._gathered.shown))
+        record = RunRecord(ending, tuple(points), track, *gathered, failed_at)
         return replace(record, lost=bool(record.slam_errors[-1] > self._slam_limit) or self._status == "lost")

@@ -42,6 +42,9 @@ class PlanningConfig:
     rounds: RoundsConfig = field(default_factory=RoundsConfig)
     # [runs] Every placement is driven so many times, with other noise each time; the worst counts.
     runs: int = quantity(1, unit="runs", low=1)
+    # [m] A drive that verifies a placement has failed when the believed position is off by more than this: half of the
+    # paper's limit of the run, whose other half is margin for what the run meets and no drive before has met.
+    slam_limit: float = quantity(0.2, unit="m", above=0)
     # [processes] Runs at the same time, on which backend of joblib: `loky`, or `ray` on a cluster.
     jobs: int = quantity(1, unit="processes", low=1)
     backend: str = quantity("loky", choices=("loky", "ray"))
@@ -52,14 +55,19 @@ def route_of(placement: Placement) -> MeasuringRoute:
     return MeasuringRoute(placement.route, placement.stops, placement.order - 1, placement.sites)
 
 
-def verification_of(records: Iterable[RunRecord]) -> Verification:
-    """The worst of the runs of a placement: the first that failed, else that with the largest error."""
+def verification_of(records: Iterable[RunRecord], slam_limit: float) -> Verification:
+    """The worst of the runs of a placement: the first that failed, else that with the largest error.
+
+    Args:
+        slam_limit: error of the believed position at which a run has failed [m].
+    """
     worst = max(records, key=lambda record: (not record.succeeded, record.slam_errors.max()))
     where = np.array(worst.failed_at) if worst.lost and worst.failed_at is not None else None
     return Verification(
         ok=worst.succeeded,
         max_error=float(worst.slam_errors.max()),
         where=where,
+        limit=slam_limit,
         why="" if worst.succeeded else worst.ending.reason,
     )
 
@@ -86,7 +94,7 @@ class VerifyInPhysics:
             records.append(run_once(self.config, plan, way, seed, self.slam_limit))
             if not records[-1].succeeded:
                 break
-        return verification_of(records)
+        return verification_of(records, self.slam_limit)
 
     def __reduce__(self) -> tuple[Callable[..., "VerifyInPhysics"], tuple[str, int, float, int]]:
         """For another process: Drake's configurations cannot be pickled, and travel as YAML."""
@@ -156,7 +164,6 @@ def plan_measuring(
     plan: FloorPlan,
     seed: int,
     *,
-    slam_limit: float,
     console: Console,
 ) -> Planned:
     """Evolves routes and landmarks in rounds, each verified in physics, and takes the best that succeeded.
@@ -171,7 +178,7 @@ def plan_measuring(
     rounds_config = replace(config.rounds, evolution=replace(config.rounds.evolution, seed=seed))
     # What travels to another process is the run's own configuration, not that of the planning around it.
     plain = {name: getattr(run, name) for name in MeasuringRunConfig.__dataclass_fields__}
-    verify = VerifyInPhysics(MeasuringRunConfig(**plain), seed, slam_limit, config.runs)
+    verify = VerifyInPhysics(MeasuringRunConfig(**plain), seed, config.slam_limit, config.runs)
     done: list[Round] = []
 
     def report(r: Round) -> None:
