@@ -8,6 +8,7 @@ import numpy as np
 from naraha.models.worlds import World
 from naraha.systems.config import quantity
 from naraha.systems.files import replacing
+from naraha.systems.routes import Primitives
 from naraha.systems.traversability import (
     Ability,
     FuzzyConfig,
@@ -22,7 +23,7 @@ from .ability_trials import Interval, TrialConfig, drive, find_interval
 from .ability_worlds import GROUNDS, LENGTH
 from .mission import Ending, Mission, Options, stop_flag
 from .primitive_trials import PrimitiveTrials
-from .robot_files import robot_file
+from .robot_files import has_primitives, robot_file, robot_primitives
 from .scenario import load_scenario
 from .station import StationConfig
 
@@ -73,26 +74,40 @@ def ability_from(intervals: dict[str, Interval], roughness: float, scenario: Cal
     Memberships from the limits of slopes and roughness; the step as it is, but no less than the noise of the heights,
     and then its own limit beside it.
     A rectangle is too high when its middle is higher than the steepest slope and the highest step together can make
-    it. At a risk limit of 60, one feature alone is passable up to 0.95 of its limit.
+    it. At a risk limit of 60, one feature alone is passable up to 0.95 of its limit. How far turns slide follows from
+    the motions of route learning, where those were measured before.
 
     Args:
         roughness: limit of it [m²].
     """
+    model = scenario.robot.model
     pitch, roll, step = (intervals[kind].passes for kind in ("pitch_slope", "roll_slope", "step"))
     fuzzy = FuzzyConfig(pitch_slope=terms(pitch, 4), roll_slope=terms(roll, 4), roughness=terms(roughness, 7))
     middle = scenario.terrain.start + 0.5 * scenario.terrain.depth
     return replace(
         scenario.given,
-        robot=scenario.robot.model,
+        robot=model,
         source=(
-            f"slopes, roughness, step and height measured by naraha calibrate --robot {scenario.robot.model} "
-            f"--seed {scenario.seed}; the rest is given in station.yaml"
+            f"slopes, roughness, step and height measured by naraha calibrate --robot {model} "
+            f"--seed {scenario.seed}, turn_slide by --kind primitives, if at all; the rest is given in station.yaml"
         ),
         fuzzy=fuzzy,
         height_threshold=round(middle * float(np.tan(pitch)) + step, 3),
         step_threshold=round(max(step, _LEAST_STEP), 4),
         step_limit=round(step, 4) if step < _LEAST_STEP else None,
+        turn_slide=turn_slide(robot_primitives(model)) if has_primitives(model) else scenario.given.turn_slide,
     )
+
+
+def turn_slide(primitives: Primitives) -> float:
+    """How far turns on the spot slid downhill on the slope, up and down, see `Ability.turn_slide` [m/rad]; to one
+    decimal, since turns to the left and right and up and down differ in the second."""
+    slides = [
+        abs(outcome.mean[0]) / (abs(outcome.mean[2]) * np.sin(ground.level))
+        for ground in (primitives.grounds[name] for name in ("slope_up", "slope_down"))
+        for outcome in (ground.motions["left"], ground.motions["right"])
+    ]
+    return round(float(np.mean(slides)), 1)
 
 
 def measured_roughness(height: float, seed: int, config: TerrainConfig) -> float:

@@ -26,7 +26,7 @@ def robot_ability(model: str, name: str = "ability") -> Ability:
     Raises:
         ScenarioError: there is no such file. ConfigError: it cannot be used.
     """
-    folder = next((path.parent for path in MODELS_DIR.glob(f"*/{model}.urdf")), MODELS_DIR / model)
+    folder = _folder(model)
     path = folder / f"{name}.yaml"
     if path.is_file() and name not in _OTHERS:
         return read_ability(path)
@@ -36,14 +36,23 @@ def robot_ability(model: str, name: str = "ability") -> Ability:
     return read_ability(Path(name))
 
 
+def has_primitives(model: str) -> bool:
+    """Whether the motions of route learning were measured for a shipped model of a robot."""
+    return (_folder(model) / "primitives.yaml").is_file()
+
+
 def robot_primitives(model: str) -> Primitives:
     """What the motions of route learning come to for a shipped model of a robot, as measured.
 
     Raises:
         ScenarioError: they were not measured. ConfigError: the file cannot be used.
     """
-    path = next((path.parent for path in MODELS_DIR.glob(f"*/{model}.urdf")), MODELS_DIR / model) / "primitives.yaml"
+    path = _folder(model) / "primitives.yaml"
     if not path.is_file():
         valid = sorted(path.parent.name for path in MODELS_DIR.glob("*/primitives.yaml"))
         raise ScenarioError("no motions were measured", key="robot", value=model, valid=valid)
     return read_primitives(path)
+
+
+def _folder(model: str) -> Path:
+    return next((path.parent for path in MODELS_DIR.glob(f"*/{model}.urdf")), MODELS_DIR / model)

@@ -5,12 +5,13 @@ import csv
 import numpy as np
 import pytest
 from naraha.diagrams.ability_trials import HUNG, PASSED, SLIPPED, Interval, TrialConfig, drive, find_interval
-from naraha.diagrams.calibrate import ability_from, load_calibrate, measured_roughness
+from naraha.diagrams.calibrate import ability_from, load_calibrate, measured_roughness, turn_slide
 from naraha.diagrams.obstacle_distance import ObstacleDistance
-from naraha.diagrams.robot_files import robot_ability
+from naraha.diagrams.robot_files import has_primitives, robot_ability
 from naraha.diagrams.traverse import load_traverse, make_traverse
 from naraha.models.worlds import load_world
 from naraha.systems.errors import InputError
+from naraha.systems.routes import Ground, Outcome, Primitives
 from naraha.systems.traversability import Mamdani, TerrainConfig, read_ability
 from pydrake.math import RigidTransform
 
@@ -190,6 +191,24 @@ def test_an_ability_follows_from_what_was_passed():
     assert ability_from(low, 1e-4, scenario).step_threshold > 0.017
     middle = scenario.terrain.start + 0.5 * scenario.terrain.depth
     assert ability.height_threshold == pytest.approx(middle * np.tan(0.3) + 0.1, abs=1e-3)
+
+
+def test_how_far_turns_slide_follows_from_the_measured_motions():
+    # A turn of 0.8 rad on a slope of 0.3 rad slid 0.08 m and 0.16 m; what happened on the flat does not count.
+    def ground(*slides, level=0.3):
+        means = {"left": [slides[0], 0.0, 0.8], "right": [slides[1], 0.0, -0.8]}
+        return Ground(terrain="slope", level=level, motions={name: Outcome(mean=mean) for name, mean in means.items()})
+
+    grounds = {"slope_up": ground(-0.08, -0.16), "slope_down": ground(0.16, 0.08), "flat": ground(1.0, 1.0, level=0.0)}
+    assert turn_slide(Primitives(grounds=grounds)) == round(0.12 / 0.8 / np.sin(0.3), 1)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_shipped_ability_slides_as_its_measured_motions_do(robot):
+    passed = dict.fromkeys(("pitch_slope", "roll_slope", "step", "ridges"), Interval(0.1, 0.2, HUNG, 5))
+    found = ability_from(passed, 1e-4, load_calibrate(robot))
+    assert found.turn_slide == robot_ability(robot).turn_slide
+    assert (found.turn_slide > 0) == has_primitives(robot)
 
 
 def test_an_unknown_robot_has_no_ability():
