@@ -11,10 +11,11 @@ from naraha.models.worlds.halls import hang_lamps
 from naraha.systems.config import quantity
 from naraha.systems.errors import ScenarioError
 from naraha.systems.placement import FloorPlan
-from naraha.systems.sensing import fit_field, write_tum
+from naraha.systems.sensing import IlluminanceField, fit_field, write_tum
 from pydrake.geometry import Box, Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
+from scipy.stats import norm
 
 from .illuminate_drawing import (
     BELIEF,
@@ -25,7 +26,15 @@ from .illuminate_drawing import (
     save_figure,
 )
 from .illuminate_drawing import TRUTH as TRUTH_COLOUR
-from .illuminate_files import write_landmarks, write_light, write_map, write_points, write_route, write_track
+from .illuminate_files import (
+    map_points,
+    write_landmarks,
+    write_light,
+    write_map,
+    write_points,
+    write_route,
+    write_track,
+)
 from .illuminate_log import IlluminateLog, RunRecord
 from .illuminate_planning import Planned, PlanningConfig, plan_measuring
 from .illuminate_run import STEP
@@ -120,7 +129,7 @@ def illuminate(scenario: IlluminateScenario, options: Options) -> int:
 
     products: list[Callable[[], None]] = [write_metrics, write_plan]
     if record is not None:
-        products += run_products(mission, scenario, plan, planned, record, meshcat)
+        products += run_products(mission, scenario, plan, planned, record, log.true_light, meshcat)
     return mission.finish(ending, *products)
 
 
@@ -165,15 +174,31 @@ def draw_run(
         meshcat.SetTransform(f"points/{p.point}", RigidTransform(np.array([*p.asked, 0.02])))
 
 
+def map_metrics(
+    field: IlluminanceField, points: np.ndarray, true_light: Callable[[np.ndarray], np.ndarray]
+) -> dict[str, float]:
+    """What a map of the illuminance is worth at points (n, 2) [m], by the truth: the median error [lux], and the median
+    of error over stated deviation, over the 0.674 that it has where errors are normal and as large as stated."""
+    mean, deviation = field.at(points)
+    error = np.abs(mean - true_light(points))
+    ratio = np.median(error / deviation) / norm.ppf(0.75)
+    return {"map_median_error_lux": float(np.median(error)), "map_error_over_stated": float(ratio)}
+
+
 def run_products(
     mission: Mission,
     scenario: IlluminateScenario,
     plan: FloorPlan,
     planned: Planned,
     record: RunRecord,
+    true_light: Callable[[np.ndarray], np.ndarray],
     meshcat: Meshcat | None,
 ) -> list[Callable[[], None]]:
-    """What writes the products of a run that took place."""
+    """What writes the products of a run that took place.
+
+    Args:
+        true_light: illuminance (n,) [lux] at places (n, 2) [m], which the map is judged by.
+    """
 
     def write_tables() -> None:
         write_points(mission.path("points.csv"), record)
@@ -215,6 +240,7 @@ def run_products(
         figure = draw_illuminance(plan, field, spacing=scenario.map_spacing, windows=scenario.hall.windows)
         save_figure(figure, mission.path("illuminance_map.png"))
         mission.metrics |= {"illuminance_mean_lux": field.mean, "illuminance_length_m": field.length}
+        mission.metrics |= map_metrics(field, map_points(plan, scenario.map_spacing), true_light)
 
     def write_html() -> None:
         if meshcat is not None:

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from .illuminate_station import MeasuringRoute
 from .mission import Ending
-from .wiring import DiagramReader
+from .wiring import DiagramReader, subsystem
 
 _LOST_TIME = 10.0
 """[s] for which a robot may stand because it is lost."""
@@ -160,6 +160,12 @@ class IlluminateLog(DiagramReader):
                 return Ending("failed", f"points that could not be reached: {points}")
             return Ending("done", "all points were measured")
         return None
+
+    def true_light(self, places: np.ndarray) -> np.ndarray:
+        """True illuminance at places (n, 2) in W [m] as the robot's meter would have it, (n,) [lux]."""
+        meter = subsystem(self.diagram, "station", "meter")
+        found: np.ndarray = meter.illuminance_at(meter.GetMyContextFromRoot(self.context), places)
+        return found
 
     def status_line(self, context: Context) -> str:
         return f"{self._status}, {len(self._true)} of {len(self._way.stops)} points"

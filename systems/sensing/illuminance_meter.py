@@ -96,12 +96,26 @@ class IlluminanceMeter(LeafSystem):
         self.DeclareVectorOutputPort("illuminance", 1, self._CalcReading, {self.xd_ticket()})
         self.DeclareVectorOutputPort("cheat.illuminance", 1, self._CalcTruth)
 
+    def illuminance_at(self, context: Context, places: np.ndarray) -> np.ndarray:
+        """True illuminance now of the plate as it is, were it carried to other places, (n,) [lux]; for metrics.
+
+        Args:
+            places: (n, 2) x and y in W [m]; height and tilt stay.
+        """
+        X_WI, X_WF = self._poses(context)
+        p_WP = np.column_stack([places, np.full(len(places), X_WI.translation()[2])])
+        return illuminance(p_WP, X_WI.rotation().matrix()[:, 2], self._emitters, self._scene, X_WF)
+
     def _truth(self, context: Context) -> float:
-        query = eval_typed(self, context, "geometry_query", QueryObject)
-        X_WI = query.GetPoseInWorld(self._parent_frame) @ self._X_PI
-        X_WF = {frame: query.GetPoseInWorld(frame) for frame in self._moving_frames}
+        X_WI, X_WF = self._poses(context)
         normal = X_WI.rotation().matrix()[:, 2]
         return float(illuminance(X_WI.translation(), normal, self._emitters, self._scene, X_WF)[0])
+
+    def _poses(self, context: Context) -> tuple[RigidTransform, dict[FrameId, RigidTransform]]:
+        """Of the plate, and of what moves, in W."""
+        query = eval_typed(self, context, "geometry_query", QueryObject)
+        X_WF = {frame: query.GetPoseInWorld(frame) for frame in self._moving_frames}
+        return query.GetPoseInWorld(self._parent_frame) @ self._X_PI, X_WF
 
     def _Read(self, context: Context, discrete_state: DiscreteValues) -> None:
         count = int(context.get_discrete_state_vector().GetAtIndex(1)) + 1

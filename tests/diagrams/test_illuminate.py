@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from naraha.diagrams.illuminate import illuminate, judged, load_illuminate, read_plan
+from naraha.diagrams.illuminate import illuminate, judged, load_illuminate, map_metrics, read_plan
 from naraha.diagrams.illuminate_files import map_points
 from naraha.diagrams.illuminate_log import PointRecord, RunRecord
 from naraha.diagrams.illuminate_planning import PlanningConfig, VerifyInPhysics, plan_measuring, verification_of
@@ -209,6 +209,18 @@ def test_readings_on_the_way_tell_how_unsure_the_map_is():
     assert 0.7 < spread[2.0] < 1.4
 
 
+def test_a_map_that_errs_as_much_as_it_states_has_a_ratio_of_one():
+    rng = np.random.default_rng(0)
+    field = fit_field(np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]), np.array([90.0, 110.0, 100.0]))
+    points = rng.uniform(-5, 9, (4000, 2))
+    mean, deviation = field.at(points)
+    for factor in (1.0, 3.0):
+        true = mean + factor * deviation * rng.standard_normal(len(points))
+        found = map_metrics(field, points, lambda _, true=true: true)
+        assert found["map_error_over_stated"] == pytest.approx(factor, rel=0.05)
+        assert found["map_median_error_lux"] == pytest.approx(np.median(np.abs(true - mean)))
+
+
 def light_at(scenario, x, y, seed=0):
     """True illuminance where a robot stands that starts there [lux]; the lamps are those of the seed."""
     plan = replace(read_plan(scenario), start=np.array([x, y, 0.0]))
@@ -263,6 +275,8 @@ def test_the_command_plans_verifies_runs_and_leaves_its_products(tmp_path):
     assert metrics["landmarks_per_round"] == str(metrics["landmarks"])
     assert metrics["points_measured"] == 3
     assert metrics["max_position_error_m"] < 0.185
+    assert 0 < metrics["map_median_error_lux"] < 200
+    assert 0.2 < metrics["map_error_over_stated"] < 5
     for key in ("path_length_m", "max_slam_error_m", "planning_time_s"):
         assert metrics[key] > 0
     with (tmp_path / "out" / "points.csv").open() as file:

@@ -54,13 +54,17 @@ class MeterRig:
 
     def read(self, x, tilt):
         """Both outputs with the body at (x, 0, 0), pitched by `tilt` [rad]."""
+        own = self.meter.GetMyContextFromRoot(self.put(x, tilt))
+        return {name: self.meter.GetOutputPort(name).Eval(own)[0] for name in ("illuminance", "cheat.illuminance")}
+
+    def put(self, x, tilt):
+        """The diagram's context with the body there."""
         simulator = Simulator(self.diagram)
         context = simulator.get_mutable_context()
         pose = RigidTransform(RollPitchYaw(0, tilt, 0), [x, 0, 0])
         self.plant.SetFreeBodyPose(self.plant.GetMyMutableContextFromRoot(context), self.body, pose)
         simulator.AdvanceTo(0.01)
-        own = self.meter.GetMyContextFromRoot(context)
-        return {name: self.meter.GetOutputPort(name).Eval(own)[0] for name in ("illuminance", "cheat.illuminance")}
+        return context
 
 
 def meter_example(seed):

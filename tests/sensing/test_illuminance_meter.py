@@ -129,6 +129,15 @@ def test_the_meter_reads_where_it_is_carried_and_as_it_is_tilted():
         assert found["illuminance"] == pytest.approx(found["cheat.illuminance"], abs=1e-5)
 
 
+def test_the_light_elsewhere_is_what_the_meter_would_have_there():
+    rig = MeterRig(EXACT, [Lamp(xyz=[0.3, 0, 2.8], intensity=500.0)])
+    own = rig.meter.GetMyContextFromRoot(rig.put(0.0, 0.0))
+    elsewhere = rig.meter.illuminance_at(own, np.array([[0.0, 0.0], [1.5, 0.0], [-2.0, 0.0]]))
+    found = [rig.read(x, 0.0)["cheat.illuminance"] for x in (0.0, 1.5, -2.0)]
+    np.testing.assert_allclose(elsewhere, found)
+    assert len(set(found)) == 3
+
+
 def test_the_robot_casts_no_shadow_on_its_meter_and_others_do():
     lamp = Lamp(xyz=[0, 0, 2.8], intensity=500.0)
     assert MeterRig(EXACT, [lamp], roof="robot").read(0.0, 0.0)["illuminance"] > 0
