@@ -1,17 +1,23 @@
-"""Backing up, and what makes the controller do so: it is stuck or caught, has no room to turn, or stands on a slope
-that a turn would slide it down."""
+"""Backing up on the robot's own track, and what makes the controller do so: it is stuck or caught, has no room to turn,
+or stands on a slope that a turn would slide it down."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from .ability import Ability
-from .vfh_choice import room_behind, turn_depth
+from .vfh_choice import room_behind, turn_depth, wrapped
 from .vfh_state import BACKING, DRIVING, NOWHERE, TURNING, Command, Decision, Sight, VfhConfig, VfhState
 from .wavefront import ALWAYS
 
 # A robot keeps no more marks than this; the oldest goes first.
 _MOST_MARKS = 64
+# [m], [rad] Poses of the track are so far apart; one that is turned farther against the last was turned to on the spot.
+_TRACK_STEP, _TRACK_TURN = 0.05, 0.5
+# As much of the track is kept, more than it backs up.
+_MOST_TRACK = 64
+# [m] It backs up towards the point of its track that is so far away.
+_AHEAD = 0.4
 
 
 def mark(state: VfhState, sight: Sight, heading: float, ahead: float, ability: Ability, kind: float) -> VfhState:
@@ -52,11 +58,42 @@ def let_go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
 
 
 def back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) -> Decision:
-    """Begins to back up straight, by `distance` [m]."""
+    """Begins to back up on its track, by `distance` [m]."""
     x, y, _ = (float(value) for value in sight.pose)
     anchor = (*state.anchor[:3], sight.time)
     state = replace(state, status=BACKING, back_from=(x, y, sight.time), back_to=distance, anchor=anchor)
-    return state, Command(v_r=-config.back_speed)
+    return retrace(state, sight, config)
+
+
+def with_track(state: VfhState, sight: Sight) -> VfhState:
+    """The state with the track until now: longer while it drives, forgotten after a turn on the spot."""
+    track, (x, y, heading) = state.track, (float(value) for value in sight.pose)
+    if state.status == BACKING:
+        return state
+    if track and abs(wrapped(heading - track[-1][2])) > _TRACK_TURN:
+        track = ()
+    if track and np.hypot(x - track[-1][0], y - track[-1][1]) < _TRACK_STEP:
+        return state
+    return replace(state, track=(*track, (x, y, heading))[-_MOST_TRACK:])
+
+
+def retrace(state: VfhState, sight: Sight, config: VfhConfig) -> Decision:
+    """Backs up on the track that it came on, which was free, by pure pursuit; straight where there is none behind
+    it, as after it slid.
+
+    The arc to a point (x, y) in the heading frame has the curvature 2y / (x² + y²), forwards and backwards (Coulter,
+    "Implementation of the Pure Pursuit Path Tracking Algorithm", 1992).
+    """
+    track = state.track
+    while track and np.hypot(track[-1][0] - sight.pose[0], track[-1][1] - sight.pose[1]) < _AHEAD:
+        track = track[:-1]
+    omega = 0.0
+    if track:
+        away, (c, s) = np.array(track[-1][:2]) - sight.pose[:2], (np.cos(sight.pose[2]), np.sin(sight.pose[2]))
+        x, y = away @ [c, s], away @ [-s, c]
+        if -x > abs(y):
+            omega = float(-config.back_speed * 2 * y / (x * x + y * y))
+    return replace(state, track=track), Command(v_r=-config.back_speed, omega_r=omega)
 
 
 def off_the_slope(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision | None:
@@ -71,9 +108,9 @@ def off_the_slope(state: VfhState, sight: Sight, ability: Ability, config: VfhCo
         return back_up(replace(state, backed=True, aim=np.nan), sight, config.longest_back, config)
     if _backed_far(state, sight, config):
         return None
-    # On a crest it stood level, and slides as soon as it turns.
+    # On a crest it stood level, and slides as soon as it turns. Who does no more than that, to and fro, is stuck.
     after, command = back_up(state, sight, state.back_to, config)
-    return replace(after, back_from=state.back_from), command
+    return replace(after, back_from=state.back_from, anchor=state.anchor), command
 
 
 def backed_enough(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> bool:

@@ -6,7 +6,19 @@ import numpy as np
 
 from .ability import Ability
 from .risk_map import IMPASSABLE
-from .vfh_back import back_up, backed_enough, free, let_go, mark, off_the_slope, room_to_turn, slide_of, stuck
+from .vfh_back import (
+    back_up,
+    backed_enough,
+    free,
+    let_go,
+    mark,
+    off_the_slope,
+    retrace,
+    room_to_turn,
+    slide_of,
+    stuck,
+    with_track,
+)
 from .vfh_choice import (
     best_direction,
     nearest_to_goal,
@@ -53,7 +65,7 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     """
     goal = (float(sight.goal[0]), float(sight.goal[1]))
     if goal != state.goal:
-        state = VfhState(goal=goal, marks=state.marks, index=state.index)
+        state = VfhState(goal=goal, marks=state.marks, track=state.track, index=state.index)
     left = float(np.hypot(*(sight.goal - sight.pose[:2])))
     if left <= config.tolerance * (2 if state.status == ARRIVED else 1):
         return _rest(replace(state, status=ARRIVED), sight)
@@ -65,7 +77,7 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     if stuck(state, sight, config):
         return free(state, sight, ability, config)
     if state.status == BACKING and not backed_enough(state, sight, ability, config):
-        return state, Command(v_r=-config.back_speed)
+        return retrace(state, sight, config)
     if abs(state.astray) > np.deg2rad(config.caught_turn_deg):
         return let_go(state, sight, ability, config)
     if state.status == NO_WAY and state.again < config.confirmations:
@@ -91,7 +103,7 @@ def _paper(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
 
 
 def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
-    """The state with what moved since the last decision."""
+    """The state with what moved since the last decision, and the track."""
     x, y, heading = (float(value) for value in sight.pose)
     if np.isfinite(state.heading):
         turn = wrapped(heading - state.heading)
@@ -108,7 +120,7 @@ def _watch(state: VfhState, sight: Sight, config: VfhConfig) -> VfhState:
     if sight.index != state.index:
         none = sight.way is None
         state = replace(state, without=state.without + 1 if none else 0, again=0 if none else state.again + 1)
-    return replace(state, heading=heading, index=sight.index)
+    return with_track(replace(state, heading=heading, index=sight.index), sight)
 
 
 def _astray(state: VfhState, turn: float, yaw_rate: float, config: VfhConfig) -> float:
@@ -252,7 +264,7 @@ def _turn(state: VfhState, sight: Sight, wanted: float, ability: Ability, config
             return back_up(replace(state, side=side, backed=True, aim=np.nan), sight, back, config)
         if abs(wanted) > np.pi / 2 and room_to_turn(sight, -side * np.pi / 2, ability):
             side = -side
-    if state.status not in (TURNING, LOOKING):
+    if state.status not in (TURNING, LOOKING, BACKING):
         state = replace(state, anchor=(*state.anchor[:3], sight.time))
     rate = float(np.clip(config.turn_gain * abs(wanted), config.min_turn_rate, ability.max_yaw_rate))
     return replace(state, status=status, side=side, aim=np.nan), Command(omega_r=side * rate)

@@ -410,6 +410,78 @@ def test_who_slides_when_it_turns_backs_off_a_slope_first_and_does_not_come_back
     assert state.status == "turning"
 
 
+def test_who_hangs_on_a_crest_does_not_turn_and_back_up_to_and_fro_for_long():
+    # It is level while it backs up and tilted as soon as it turns, and gets nowhere.
+    crawler, state, turning, longest = replace(pioneer(), turn_slide=0.7), VfhState(goal=(-5.0, 0.5)), 0, 0
+    for time in np.arange(0.0, 12.0, 0.1):
+        downhill = (0.0, 0.0) if state.status == "backing" else (-0.3, 0.0)
+        state, command = decide(state, sight(goal=(-5.0, 0.5), downhill=downhill, time=time), crawler, CONFIG)
+        turning = turning + 1 if command.omega_r else 0
+        longest = max(longest, turning)
+    assert longest > 20
+
+
+def backed_up(state, pose, seconds, *, time, **values):
+    """State and poses (n, 3) of a unicycle that does as it is told while it backs up."""
+    poses = [np.array(pose, float)]
+    for n in range(round(seconds / CONFIG.period)):
+        seen = sight(pose=poses[-1], time=time + n * CONFIG.period, **values)
+        state, command = decide(state, seen, pioneer(), CONFIG)
+        if state.status != "backing":
+            break
+        poses.append(moved(poses[-1], command.v_r, command.omega_r))
+    return state, np.array(poses)
+
+
+def moved(pose, v, omega):
+    middle = pose[2] + 0.5 * CONFIG.period * omega
+    return pose + CONFIG.period * np.array([v * np.cos(middle), v * np.sin(middle), omega])
+
+
+def driven(v, omega, seconds, **values):
+    """State, poses (n, 3) and time after a drive along an arc from the origin, at the end of which it is stuck."""
+    state, poses, time = VfhState(), [np.zeros(3)], 0.0
+    while state.status != "backing":
+        ahead = [np.cos(poses[-1][2]), np.sin(poses[-1][2])]
+        seen = sight(pose=poses[-1], time=time, way=poses[-1][:2] + ahead, **values)
+        state, _ = decide(state, seen, pioneer(), CONFIG)
+        poses.append(moved(poses[-1], v, omega) if time < seconds else poses[-1])
+        time += CONFIG.period
+    return replace(state, back_to=1.0), np.array(poses), time
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_who_backs_up_does_so_on_its_own_track(side):
+    state, track, time = driven(0.2, 0.2 * side, 6.0, goal=(0.0, 50.0 * side))
+    state, poses = backed_up(state, track[-1], 5.0, time=time, goal=(0.0, 50.0 * side))
+    assert np.hypot(*(poses[-1, :2] - poses[0, :2])) > 0.6
+    off = np.linalg.norm(poses[:, None, :2] - track[None, :, :2], axis=2).min(axis=1)
+    assert off.max() < 0.04
+    # It looks where it looked there.
+    there = np.argmin(np.linalg.norm(poses[-1, :2] - track[:, :2], axis=1))
+    assert abs(wrapped(poses[-1, 2] - track[there, 2])) < 0.15
+    # What it backed up over is no track any more.
+    assert np.hypot(*(np.array(state.track[-1][:2]) - poses[-1, :2])) > 0.3
+
+
+@pytest.mark.parametrize("track", [(), ((0.5, 0.0, 0.0),), ((-0.3, 0.6, -1.0),)], ids=["none", "ahead", "beside"])
+def test_without_a_track_behind_it_a_robot_backs_up_straight(track):
+    backing = VfhState(status="backing", goal=(5.0, 0.0), back_from=(0.0, 0.0, 0.0), back_to=1.0, track=track)
+    _, command = decide(backing, sight(), pioneer(), CONFIG)
+    assert command.v_r < 0
+    assert command.omega_r == 0
+
+
+def test_a_turn_on_the_spot_ends_the_track_and_backing_up_does_not():
+    track = ((-0.2, 0.0, 0.0), (-0.1, 0.0, 0.0))
+    for status, kept in (("driving", (0, 3)), ("backing", (0, 2)), ("turning", (1, 1))):
+        heading = 0.6 if status == "turning" else 0.0
+        before = VfhState(status=status, goal=(5.0, 0.0), back_from=(0.0, 0.0, 0.0), back_to=0.0, track=track)
+        state, _ = decide(before, sight(pose=(0.0, 0.0, heading)), pioneer(), CONFIG)
+        assert (kept[0] == 0) == (track[0] in state.track)
+        assert len(state.track) == kept[1]
+
+
 def test_downhill_is_that_of_the_ground_seen_from_the_robot():
     for yaw in (0.0, 2.0):
         assert np.allclose(downhill_of(RigidTransform(RollPitchYaw(0.0, -0.3, yaw), [1, 2, 3])), [-np.sin(0.3), 0.0])
