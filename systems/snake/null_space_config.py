@@ -18,8 +18,7 @@ class NullSpaceConfig:
     period: float = quantity(0.01, unit="s", above=0.0)
     # Time of the motion of the control point; longer where a joint or the control point would be too fast.
     duration: float = quantity(4.0, unit="s", above=0.0)
-    # At its beginning, time in which the null-space term comes in and the body's sag goes out of the reference. A body
-    # that lies on something sags around it; as soon as the segment carries itself the load of its drives turns round.
+    # At its beginning, time in which the null-space term comes in.
     start_time: float = quantity(0.4, unit="s", above=0.0)
     # Afterwards, the longest time for the rest of the way to the target.
     settle_time: float = quantity(2.0, unit="s", low=0.0)

@@ -49,7 +49,8 @@ class NullSpaceRecovery(LeafSystem):
     - `tip_margin` (1) [m], optional: distance of the centre of mass from the edge of the support polygon. The motion
       slows down below `slow_margin` and waits below `stop_margin`.
     - `held_joint_command` (2n - 1) [rad], optional: what the joints are commanded before it starts. The pitch joints
-      go on from there and not from their measured angles, so that the body does not sink.
+      go on from there and not from their measured angles, so that the body does not sink. The reference begins where
+      the control point sagged to, and leaves the sag behind as the load of the drives goes that made it.
     - `joint_command` (2n - 1) [rad]: NaN before the first motion, then held at its end.
     - `wheel_speed_command` (2n) [rad/s]: left and right of unit 0, of unit 1, ...: wheels roll with the body.
     - `status` (`RecoveryStatus`): phase, and why it ended.

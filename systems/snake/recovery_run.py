@@ -51,6 +51,7 @@ def start_run(
         return replace(hold, status=RecoveryStatus(command.number, "refused", str(error)))
     duration = config.duration if command.duration is None else command.duration
     segment = command.joints
+    load = (shape - angles)[segment]
     return RecoveryRun(
         command,
         RecoveryStatus(command.number, "moving"),
@@ -59,7 +60,8 @@ def start_run(
         motion,
         config.settings(2 * (command.last_unit - command.first_unit) + 1, body.half_length),
         max(duration, motion.shortest_duration(config.max_control_speed, config.max_joint_rate)),
-        sag=_from_start(angles[segment], motion, body) if (shape != angles).any() else np.zeros(6),
+        sag=_from_start(angles[segment], motion, body) if load.any() else np.zeros(6),
+        load=load,
     )
 
 
@@ -104,7 +106,8 @@ def step_run(
     time = min(run.time + calm * pace * dt / run.duration, 1.0)
     fraction, slope = minimum_jerk(time)
     begun, _ = minimum_jerk(run.elapsed / config.start_time)
-    reference = _reference(run, motion, fraction, slope * (time - run.time) / dt, begun)
+    sagging = min(run.sagging, _load_left(run, angles), 1.0 - fraction)
+    reference = _reference(run, motion, fraction, slope * (time - run.time) / dt, sagging)
     settings = run.settings.copy()
     settings[kernel.MAX_NULL_RATE] *= begun if config.bounded else 1.0
     report = np.zeros(kernel.REPORT)
@@ -147,6 +150,7 @@ def step_run(
         time=time,
         elapsed=run.elapsed + dt,
         settling=run.settling + dt if time >= 1.0 else 0.0,
+        sagging=sagging,
         patience=np.where(trouble, run.patience + dt, 0.0),
     )
     return judge_run(new, rates, report, lead, tip_margin, body, config)
@@ -158,14 +162,20 @@ def _pace(error: np.ndarray, body: SnakeBody, config: NullSpaceConfig) -> float:
     return 1.0 - _share(float(size), config.slow_error, 2 * config.slow_error)
 
 
-def _reference(run: RecoveryRun, motion: RecoveryMotion, fraction: float, rate: float, begun: float) -> np.ndarray:
-    """The motion's reference at a `fraction`, from which the sag at the start is taken away as much as is `begun`.
+def _load_left(run: RecoveryRun, angles: np.ndarray) -> float:
+    """How much of the load with which the segment began its drives still carry, 0 to 1: they lead as it asks."""
+    lead = (run.joints - angles)[run.command.joints]
+    return float(np.clip(run.load @ lead / max(run.load @ run.load, 1e-12), 0.0, 1.0))
+
+
+def _reference(run: RecoveryRun, motion: RecoveryMotion, fraction: float, rate: float, sagging: float) -> np.ndarray:
+    """The motion's reference at a `fraction`, with the share `sagging` of the sag at the start.
 
     Not as a velocity to go at: the sag goes by itself with the load, the drives need not move for that.
     """
     reference = motion.reference(fraction, rate)
-    reference[:3] += (1.0 - begun) * run.sag[:3]
-    reference[3:12] = (rotation_by((1.0 - begun) * run.sag[3:]) @ reference[3:12].reshape(3, 3)).ravel()
+    reference[:3] += sagging * run.sag[:3]
+    reference[3:12] = (rotation_by(sagging * run.sag[3:]) @ reference[3:12].reshape(3, 3)).ravel()
     return reference
 
 

@@ -48,6 +48,8 @@ class RecoveryRun:
         settling: how long it has been settling [s].
         patience: how long each trouble has lasted [s]: an error, a joint that lags, tipping, an angle that is missing.
         sag: (6,) by how much the control point was off the start of the motion, position [m] and rotation vector [rad].
+        load: (m,) by how much the commands of the segment's joints led their angles then [rad], as its torques do.
+        sagging: share of the sag that is still in the reference, 1 to 0; it goes as the load goes.
     """
 
     command: RecoveryCommand
@@ -62,6 +64,8 @@ class RecoveryRun:
     settling: float = 0.0
     patience: np.ndarray = field(default_factory=lambda: np.zeros(4))
     sag: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    load: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    sagging: float = 1.0
 
     def __deepcopy__(self, memo: dict) -> "RecoveryRun":
         return self
