@@ -262,7 +262,9 @@ def _turn(state: VfhState, sight: Sight, wanted: float, ability: Ability, config
         back = place_to_turn(sight.obstacles, ability.footprint, turn, slide, config.longest_back)
         if not state.backed and back > 0:
             return back_up(replace(state, side=side, backed=True, aim=np.nan), sight, back, config)
-        if abs(wanted) > np.pi / 2 and room_to_turn(sight, -side * np.pi / 2, ability):
+        # There is room where it came from: who turned to and fro keeps to its side.
+        other = abs(wanted) > np.pi / 2 and state.turned < _TO_AND_FRO
+        if other and room_to_turn(sight, -side * np.pi / 2, ability):
             side = -side
     if state.status not in (TURNING, LOOKING, BACKING):
         state = replace(state, anchor=(*state.anchor[:3], sight.time))

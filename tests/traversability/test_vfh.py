@@ -421,6 +421,15 @@ def test_who_hangs_on_a_crest_does_not_turn_and_back_up_to_and_fro_for_long():
     assert longest > 20
 
 
+@pytest.mark.parametrize(("turned", "side"), [(0.0, -1), (10.0, 1)], ids=["at first", "to and fro"])
+def test_who_has_no_room_turns_to_the_other_side_but_not_to_and_fro(turned, side):
+    beside = sight(goal=(-5.0, 0.5), obstacles=np.array([[0.194, 0.194]]))
+    known = {"goal": (-5.0, 0.5), "spot": (0.0, 0.0), "heading": 0.0, "anchor": (0.0, 0.0, 0.0, 0.0)}
+    before = VfhState(status="turning", side=1.0, backed=True, turned=turned, **known)
+    _, command = decide(before, beside, pioneer(), CONFIG)
+    assert np.sign(command.omega_r) == side
+
+
 def backed_up(state, pose, seconds, *, time, **values):
     """State and poses (n, 3) of a unicycle that does as it is told while it backs up."""
     poses = [np.array(pose, float)]
