@@ -1,17 +1,14 @@
 """`naraha traverse`: a robot drives to a goal over ground that it judges by its own ability."""
 
 import csv
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from naraha.systems.clouds import LocalCloud, LocalCloudConfig
-from naraha.systems.config import quantity
-from naraha.systems.errors import ScenarioError
+from naraha.systems.clouds import LocalCloud
 from naraha.systems.files import replacing
 from naraha.systems.sensing import write_tum
-from naraha.systems.slam import Odometry6Dof, OdometryConfig
+from naraha.systems.slam import Odometry6Dof
 from naraha.systems.tracking import KanayamaConfig, KanayamaTracking
 from naraha.systems.traversability import (
     Ability,
@@ -19,10 +16,7 @@ from naraha.systems.traversability import (
     FuzzyVfhController,
     PolarRiskHistogram,
     RiskMemory,
-    RiskMemoryConfig,
-    TerrainConfig,
     TerrainFeatures,
-    VfhConfig,
 )
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
@@ -30,64 +24,14 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from .mission import Mission, Options
-from .recording import RecordingConfig, start_meshcat, write_recording
-from .robot_files import robot_ability, robot_file
-from .scenario import load_scenario
-from .slam import SlamStages, add_matching
-from .station import X_B, StationConfig, make_station
+from .recording import start_meshcat, write_recording
+from .robot_files import robot_ability
+from .slam import add_matching
+from .station import X_B, make_station
 from .traverse_drawing import draw_traverse
 from .traverse_log import TraverseLog
+from .traverse_scenario import TraverseScenario, load_traverse
 from .wiring import connect, export_outputs
-
-
-@dataclass(kw_only=True)
-class TraverseScenario(StationConfig):
-    """Everything that a drive to a goal can vary."""
-
-    description: str = ""
-    # Seed of all noise, and of the world unless that has its own.
-    seed: int = quantity(0, low=0)
-    # Where to drive, in W, which the odometry knows from its start [m].
-    goal: list[float] = quantity([0.0, 0.0], unit="m", min_length=2)
-    # What the robot can drive over: the name of a file beside its model, or a YAML file.
-    ability: str = "ability"
-    # The drive ends at the latest after this simulated time [s].
-    duration: float = quantity(120.0, unit="s", above=0)
-    # [m] The robot has reached the goal when its base is truly this near to it.
-    reached: float = quantity(0.5, unit="m", above=0)
-    # The drive fails when the robot is tilted more than this [rad].
-    tip_over_angle: float = quantity(1.2, unit="rad", above=0)
-    odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    # Scan matching that corrects the pose; null drives on odometry alone. A tilting LiDAR shows too little at a time.
-    matching: SlamStages | None = None
-    local_cloud: LocalCloudConfig = field(default_factory=LocalCloudConfig)
-    terrain: TerrainConfig = field(default_factory=TerrainConfig)
-    # What is remembered of the ground; null drives by the histogram alone, as the paper does.
-    memory: RiskMemoryConfig | None = field(default_factory=RiskMemoryConfig)
-    vfh: VfhConfig = field(default_factory=lambda: VfhConfig(start_time=1.0))
-    # With a `risk_limit` of 0 or more, K_x falls with the risk (Eq. 9); null keeps it fixed.
-    tracking: KanayamaConfig = field(default_factory=KanayamaConfig)
-    # Whether speeds and `risk_limit` of the tracking are those of the ability.
-    tracking_from_ability: bool = True
-    # Null leaves no recording.html.
-    recording: RecordingConfig | None = field(default_factory=RecordingConfig)
-
-
-def load_traverse(
-    name: str, robot: str | None, settings: Sequence[str] = (), seed: int | None = None
-) -> TraverseScenario:
-    """Reads a scenario for one of the robots, with what that robot brings along: its model, driver and sensors.
-
-    Raises:
-        ScenarioError, ConfigError: no such scenario or robot, or a value that cannot be used.
-    """
-    scenario = load_scenario(TraverseScenario, name, settings, seed, base=None if robot is None else robot_file(robot))
-    robot_config = scenario.robot
-    if len(robot_config.start_xyz) == 2:  # on the floor, whatever robot it is
-        robot_config.start_xyz = [*robot_config.start_xyz, robot_config.known_model().base_height]
-    if len(scenario.goal) != 2:
-        raise ScenarioError("wrong length", where=name, key="goal", value=scenario.goal, valid="x, y")
-    return scenario
 
 
 def tracking_config(scenario: TraverseScenario, ability: Ability) -> KanayamaConfig:
@@ -218,3 +162,6 @@ def traverse(scenario: TraverseScenario, options: Options) -> int:
             write_recording(meshcat, mission.path("recording.html"))
 
     return mission.finish(ending, write_metrics, write_tables, write_trajectories, write_html)
+
+
+__all__ = ["TraverseScenario", "load_traverse", "make_traverse", "tracking_config", "traverse"]

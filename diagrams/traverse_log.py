@@ -1,7 +1,5 @@
 """What the metrics and products of a drive to a goal are made of, gathered while it runs."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from naraha.systems.slam import trajectory_error
 from naraha.systems.tracking import planar_pose
@@ -14,10 +12,8 @@ from .mission import Ending
 from .obstacle_distance import ObstacleDistance
 from .station import station_world
 from .trajectory import Trajectory
+from .traverse_scenario import TraverseScenario
 from .wiring import DiagramReader
-
-if TYPE_CHECKING:
-    from .traverse import TraverseScenario
 
 # [m] A base that was this much higher than at its start has been on something.
 _RAISED = 0.06
@@ -28,7 +24,7 @@ _TOUCHED = 0.002
 class TraverseLog(DiagramReader):
     """What happened on the way, read from the running diagram at every step."""
 
-    def __init__(self, scenario: "TraverseScenario", ability: Ability, diagram: Diagram):
+    def __init__(self, scenario: TraverseScenario, ability: Ability, diagram: Diagram):
         super().__init__(diagram)
         self.scenario = scenario
         # The pose that steers: of the scan matching where there is one.

@@ -2,7 +2,8 @@
 
 from .candidate_sites import SiteConfig, find_sites, initial_route
 from .co_evolution import CoEvolution, CoEvolutionConfig
-from .evolve import EvolutionConfig, Placement, evolve, placement_of
+from .evolution_config import EvolutionConfig
+from .evolve import Placement, evolve, placement_of
 from .exact_order import shortest_order
 from .exact_sites import FewestSites, fewest_sites
 from .floor_plan import FloorPlan, plan_from_image, plan_from_walls

@@ -9,7 +9,8 @@ from pydrake.systems.framework import Context, LeafSystem
 from ..config import check_config, quantity
 from ..ports import eval_typed, weak_method
 from .candidate_sites import find_sites, initial_route
-from .evolve import EvolutionConfig, evolve
+from .evolution_config import EvolutionConfig
+from .evolve import evolve
 from .floor_plan import FloorPlan
 from .landmarks import LandmarkMap
 from .problem import ProblemConfig, problem_with

@@ -1,17 +1,13 @@
 """Our co-evolution: two populations judged by the best of each other, and improved by local search."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..random_kernels import seeded
+from .evolution_config import EvolutionConfig
 from .follow_kernels import bits_set, route_length, sides_seen
 from .memetic_kernels import cost_table, improve_route, improve_sites, shorten
 from .paper_kernels import vary_route, vary_sites
 from .problem import PlacementProblem
-
-if TYPE_CHECKING:
-    from .evolve import EvolutionConfig
 
 # Individuals of the other population that one is judged against: by the best of them.
 _PARTNERS = 3
@@ -23,7 +19,7 @@ def evolve_together(
     sets: np.ndarray,
     least: int,
     weights: np.ndarray,
-    config: "EvolutionConfig",
+    config: EvolutionConfig,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Evolves routes (N, n) and sets (M,) of sites, each judged by its cheapest pair with the best of the others.

@@ -7,7 +7,8 @@ import numpy as np
 
 from ..config import check_config, quantity
 from ..errors import ConfigError
-from .evolve import EvolutionConfig, Placement, evolve
+from .evolution_config import EvolutionConfig
+from .evolve import Placement, evolve
 from .floor_plan import FloorPlan
 from .problem import PlacementProblem
 
