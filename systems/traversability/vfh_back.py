@@ -1,5 +1,5 @@
-"""Backing up on the robot's own track, and what makes the controller do so: it is stuck or caught, has no room to turn,
-or stands on a slope that a turn would slide it down."""
+"""Backing up, and what makes the controller do so: it is stuck or caught, has no room to turn, or stands on a slope
+that a turn would slide it down."""
 
 from dataclasses import replace
 
@@ -57,11 +57,15 @@ def let_go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     return state, Command()
 
 
-def back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig) -> Decision:
-    """Begins to back up on its track, by `distance` [m]."""
+def back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig, *, on_track: bool = False) -> Decision:
+    """Begins to back up by `distance` [m], straight or on its track.
+
+    Who wants room for a turn goes straight: on its track it would undo what it has turned already, and come again.
+    """
     x, y, _ = (float(value) for value in sight.pose)
     anchor = (*state.anchor[:3], sight.time)
-    state = replace(state, status=BACKING, back_from=(x, y, sight.time), back_to=distance, anchor=anchor)
+    state = replace(state, status=BACKING, back_from=(x, y, sight.time), back_to=distance, on_track=on_track)
+    state = replace(state, anchor=anchor)
     return retrace(state, sight, config)
 
 
@@ -78,8 +82,8 @@ def with_track(state: VfhState, sight: Sight) -> VfhState:
 
 
 def retrace(state: VfhState, sight: Sight, config: VfhConfig) -> Decision:
-    """Backs up on the track that it came on, which was free, by pure pursuit; straight where there is none behind
-    it, as after it slid.
+    """Backs up: straight, or with `on_track` on the track that it came on, which was free, by pure pursuit, where
+    that is behind it.
 
     The arc to a point (x, y) in the heading frame has the curvature 2y / (x² + y²), forwards and backwards (Coulter,
     "Implementation of the Pure Pursuit Path Tracking Algorithm", 1992).
@@ -88,7 +92,7 @@ def retrace(state: VfhState, sight: Sight, config: VfhConfig) -> Decision:
     while track and np.hypot(track[-1][0] - sight.pose[0], track[-1][1] - sight.pose[1]) < _AHEAD:
         track = track[:-1]
     omega = 0.0
-    if track:
+    if track and state.on_track:
         away, (c, s) = np.array(track[-1][:2]) - sight.pose[:2], (np.cos(sight.pose[2]), np.sin(sight.pose[2]))
         x, y = away @ [c, s], away @ [-s, c]
         if -x > abs(y):
@@ -105,11 +109,11 @@ def off_the_slope(state: VfhState, sight: Sight, ability: Ability, config: VfhCo
         return None
     if not state.backed:
         state = mark(state, sight, sight.pose[2], 0.5 * ability.footprint[0] + 0.1, ability, ALWAYS)
-        return back_up(replace(state, backed=True, aim=np.nan), sight, config.longest_back, config)
+        return back_up(replace(state, backed=True, aim=np.nan), sight, config.longest_back, config, on_track=True)
     if _backed_far(state, sight, config):
         return None
     # On a crest it stood level, and slides as soon as it turns. Who does no more than that, to and fro, is stuck.
-    after, command = back_up(state, sight, state.back_to, config)
+    after, command = back_up(state, sight, state.back_to, config, on_track=True)
     return replace(after, back_from=state.back_from, anchor=state.anchor), command
 
 

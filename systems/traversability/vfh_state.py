@@ -115,6 +115,7 @@ class VfhState:
         anchor: (x, y, heading, time) from where it is watched whether the robot moves.
         back_from: (x, y, time) where it began to back up. back_to: how far it is to do so [m].
         track: (x, y, heading) that it drove through since its last turn on the spot, without what it backed up over.
+        on_track: it backs up on that, and not straight.
         backed: it has backed up for room already since it last drove. looked_back: and to see what is near, too.
         refused_since: when the histogram began to refuse what is remembered as passable [s], NaN when it does not.
         index: of the memory at the last decision.
@@ -135,6 +136,7 @@ class VfhState:
     back_from: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     back_to: float = 0.0
     track: tuple[tuple[float, float, float], ...] = ()
+    on_track: bool = False
     backed: bool = False
     looked_back: bool = False
     refused_since: float = np.nan

@@ -430,12 +430,12 @@ def test_who_has_no_room_turns_to_the_other_side_but_not_to_and_fro(turned, side
     assert np.sign(command.omega_r) == side
 
 
-def backed_up(state, pose, seconds, *, time, **values):
+def backed_up(state, pose, seconds, *, time, ability, **values):
     """State and poses (n, 3) of a unicycle that does as it is told while it backs up."""
     poses = [np.array(pose, float)]
     for n in range(round(seconds / CONFIG.period)):
         seen = sight(pose=poses[-1], time=time + n * CONFIG.period, **values)
-        state, command = decide(state, seen, pioneer(), CONFIG)
+        state, command = decide(state, seen, ability, CONFIG)
         if state.status != "backing":
             break
         poses.append(moved(poses[-1], command.v_r, command.omega_r))
@@ -448,34 +448,41 @@ def moved(pose, v, omega):
 
 
 def driven(v, omega, seconds, **values):
-    """State, poses (n, 3) and time after a drive along an arc from the origin, at the end of which it is stuck."""
+    """State, poses (n, 3) and time after a drive along an arc from the origin."""
     state, poses, time = VfhState(), [np.zeros(3)], 0.0
-    while state.status != "backing":
+    while time < seconds:
         ahead = [np.cos(poses[-1][2]), np.sin(poses[-1][2])]
         seen = sight(pose=poses[-1], time=time, way=poses[-1][:2] + ahead, **values)
         state, _ = decide(state, seen, pioneer(), CONFIG)
-        poses.append(moved(poses[-1], v, omega) if time < seconds else poses[-1])
+        poses.append(moved(poses[-1], v, omega))
         time += CONFIG.period
-    return replace(state, back_to=1.0), np.array(poses), time
+    return state, np.array(poses), time
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_who_backs_up_does_so_on_its_own_track(side):
-    state, track, time = driven(0.2, 0.2 * side, 6.0, goal=(0.0, 50.0 * side))
-    state, poses = backed_up(state, track[-1], 5.0, time=time, goal=(0.0, 50.0 * side))
+def test_who_backs_off_a_slope_does_so_on_its_own_track_and_who_wants_room_goes_straight(side):
+    goal, crawler = (0.0, 50.0 * side), replace(pioneer(), turn_slide=0.7)
+    driven_state, track, time = driven(0.2, 0.2 * side, 6.0, goal=goal)
+    behind = track[-1, :2] - 5 * np.array([np.cos(track[-1, 2]), np.sin(track[-1, 2])])
+    here = sight(pose=track[-1], time=time, way=behind, goal=goal)
+    state, _ = decide(driven_state, replace(here, downhill=(-0.3, 0.0)), crawler, CONFIG)
+    _, poses = backed_up(state, track[-1], 5.0, time=time, goal=goal, downhill=(-0.3, 0.0), ability=crawler)
     assert np.hypot(*(poses[-1, :2] - poses[0, :2])) > 0.6
     off = np.linalg.norm(poses[:, None, :2] - track[None, :, :2], axis=2).min(axis=1)
     assert off.max() < 0.04
     # It looks where it looked there.
     there = np.argmin(np.linalg.norm(poses[-1, :2] - track[:, :2], axis=1))
     assert abs(wrapped(poses[-1, 2] - track[there, 2])) < 0.15
-    # What it backed up over is no track any more.
-    assert np.hypot(*(np.array(state.track[-1][:2]) - poses[-1, :2])) > 0.3
+    wall = np.column_stack([np.linspace(-0.1, 0.4, 11), np.full(11, 0.24)])
+    state, command = decide(driven_state, replace(here, obstacles=np.vstack([wall, -wall])), crawler, CONFIG)
+    assert (state.status, command.omega_r) == ("backing", 0)
 
 
 @pytest.mark.parametrize("track", [(), ((0.5, 0.0, 0.0),), ((-0.3, 0.6, -1.0),)], ids=["none", "ahead", "beside"])
 def test_without_a_track_behind_it_a_robot_backs_up_straight(track):
-    backing = VfhState(status="backing", goal=(5.0, 0.0), back_from=(0.0, 0.0, 0.0), back_to=1.0, track=track)
+    backing = VfhState(
+        status="backing", goal=(5.0, 0.0), back_from=(0.0, 0.0, 0.0), back_to=1.0, track=track, on_track=True
+    )
     _, command = decide(backing, sight(), pioneer(), CONFIG)
     assert command.v_r < 0
     assert command.omega_r == 0
