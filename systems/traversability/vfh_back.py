@@ -42,7 +42,7 @@ def free(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> 
     if state.status == BACKING:
         return replace(state, back_to=0.0), Command()
     if state.status in (DRIVING, TURNING) and room_behind(sight.obstacles, ability.footprint):
-        return back_up(state, sight, config.back_distance, config)
+        return back_up(state, sight, config.back_distance, config, on_track=True)
     return state, Command()
 
 
@@ -53,7 +53,7 @@ def let_go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     state = mark(state, sight, sight.pose[2] + float(np.angle(at)), abs(at), ability, ALWAYS)
     state = replace(state, astray=0.0, aim=np.nan, anchor=(*state.anchor[:3], sight.time))
     if room_behind(sight.obstacles, ability.footprint):
-        return back_up(state, sight, config.back_distance, config)
+        return back_up(state, sight, config.back_distance, config, on_track=True)
     return state, Command()
 
 

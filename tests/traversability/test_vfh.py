@@ -460,7 +460,7 @@ def driven(v, omega, seconds, **values):
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_who_backs_off_a_slope_does_so_on_its_own_track_and_who_wants_room_goes_straight(side):
+def test_who_backs_off_a_slope_or_is_stuck_does_so_on_its_own_track_and_who_wants_room_goes_straight(side):
     goal, crawler = (0.0, 50.0 * side), replace(pioneer(), turn_slide=0.7)
     driven_state, track, time = driven(0.2, 0.2 * side, 6.0, goal=goal)
     behind = track[-1, :2] - 5 * np.array([np.cos(track[-1, 2]), np.sin(track[-1, 2])])
@@ -473,6 +473,10 @@ def test_who_backs_off_a_slope_does_so_on_its_own_track_and_who_wants_room_goes_
     # It looks where it looked there.
     there = np.argmin(np.linalg.norm(poses[-1, :2] - track[:, :2], axis=1))
     assert abs(wrapped(poses[-1, 2] - track[there, 2])) < 0.15
+    # Stuck for a while, it turns as the track does, too.
+    stuck_here = replace(here, time=time + CONFIG.stuck_time + 0.1, way=None)
+    state, command = decide(replace(driven_state, anchor=(*track[-1], time)), stuck_here, crawler, CONFIG)
+    assert (state.status, np.sign(command.omega_r)) == ("backing", -side)
     wall = np.column_stack([np.linspace(-0.1, 0.4, 11), np.full(11, 0.24)])
     state, command = decide(driven_state, replace(here, obstacles=np.vstack([wall, -wall])), crawler, CONFIG)
     assert (state.status, command.omega_r) == ("backing", 0)
