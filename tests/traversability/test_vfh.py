@@ -574,7 +574,7 @@ def turned_by(rate, told, *, time=1.5):
 @pytest.mark.parametrize("side", [1, -1])
 def test_who_is_turned_without_being_told_to_backs_up_and_marks_that_side(side):
     state, command = turned_by(0.8 * side, 0.0)
-    assert state.status == "backing"
+    assert (state.status, state.on_track) == ("backing", True)
     assert command.v_r < 0
     ((x, y, _, kind),) = state.marks
     away = np.array([x, y]) - [state.back_from[0], 0.0]
