@@ -42,7 +42,8 @@ def free(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> 
     if state.status == BACKING:
         return replace(state, back_to=0.0), Command()
     if state.status in (DRIVING, TURNING) and room_behind(sight.obstacles, ability.footprint):
-        return back_up(state, sight, config.back_distance, config, on_track=True)
+        # Who could not turn hangs: both tracks are to pull alike.
+        return back_up(state, sight, config.back_distance, config, on_track=state.status == DRIVING)
     return state, Command()
 
 
