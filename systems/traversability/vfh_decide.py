@@ -5,29 +5,24 @@ from dataclasses import replace
 import numpy as np
 
 from .ability import Ability
-from .risk_map import IMPASSABLE
 from .vfh_back import (
     back_up,
     backed_enough,
     free,
     let_go,
     mark,
-    off_the_slope,
     retrace,
-    room_to_turn,
-    slide_of,
     stuck,
     with_track,
 )
 from .vfh_choice import (
     best_direction,
     nearest_to_goal,
-    nearness,
     open_ahead,
-    place_to_turn,
     room_behind,
     wrapped,
 )
+from .vfh_moves import TO_AND_FRO, rest, steer, turn_on_spot
 from .vfh_state import (
     ARRIVED,
     BACKING,
@@ -45,8 +40,6 @@ from .vfh_state import (
 from .wavefront import ALWAYS, IF_UNSEEN
 
 _FULL_TURN = 2 * np.pi
-# [rad] A robot that turned so far on one spot goes from one way to another and back.
-_TO_AND_FRO = 1.5 * _FULL_TURN
 # [rad] Within this the robot looks into the direction it wants.
 _ALIGNED = 0.15
 # [m] What it saw from a spot it has seen from all around as far as this.
@@ -68,9 +61,9 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
         state = VfhState(goal=goal, marks=state.marks, track=state.track, index=state.index)
     left = float(np.hypot(*(sight.goal - sight.pose[:2])))
     if left <= config.tolerance * (2 if state.status == ARRIVED else 1):
-        return _rest(replace(state, status=ARRIVED), sight)
+        return rest(replace(state, status=ARRIVED), sight)
     if sight.time < config.start_time:
-        return _rest(replace(state, status=LOOKING), sight)
+        return rest(replace(state, status=LOOKING), sight)
     if config.preset == "paper":
         return _paper(state, sight, ability, config)
     state = _watch(state, sight, config)
@@ -81,11 +74,11 @@ def decide(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -
     if abs(state.astray) > np.deg2rad(config.caught_turn_deg):
         return let_go(state, sight, ability, config)
     if state.status == NO_WAY and state.again < config.confirmations:
-        return _rest(state, sight)
+        return rest(state, sight)
     if state.without > 1 or (sight.way is None and state.without > 0):
         return _look_around(state, sight, ability, config)
     if sight.way is None:
-        return _rest(replace(state, status=LOOKING), sight)
+        return rest(replace(state, status=LOOKING), sight)
     return _go(state, sight, ability, config)
 
 
@@ -142,19 +135,19 @@ def _look_around(state: VfhState, sight: Sight, ability: Ability, config: VfhCon
     if state.status != LOOKING:
         state = replace(state, status=LOOKING, turned=0.0, side=state.side or 1.0, aim=np.nan)
     if state.turned < _FULL_TURN:
-        return _turn(state, sight, state.side * np.pi / 2, ability, config, LOOKING)
+        return turn_on_spot(state, sight, state.side * np.pi / 2, ability, config, LOOKING)
     if state.without >= config.confirmations:
         near = np.hypot(*(sight.goal - sight.pose[:2])) < _NEAR_GOAL
         if near and not state.looked_back and room_behind(sight.obstacles, ability.footprint):
             return back_up(replace(state, looked_back=True, backed=False), sight, _NEAR_GOAL, config)
-        return _rest(replace(state, status=NO_WAY, side=0.0, again=0), sight)
-    return _rest(state, sight)
+        return rest(replace(state, status=NO_WAY, side=0.0, again=0), sight)
+    return rest(state, sight)
 
 
 def _go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> Decision:
     """Steers for the point on the way: over the histogram, else over near remembered ground, else by a turn."""
     assert sight.way is not None
-    if sight.field is not None and state.turned > _TO_AND_FRO and np.isnan(state.held[0]):
+    if sight.field is not None and state.turned > TO_AND_FRO and np.isnan(state.held[0]):
         # A gap that is just wide enough opens when the robot turns away from it. Now it goes there, or marks it.
         state = replace(state, held=(float(sight.way[0]), float(sight.way[1])))
     if np.isfinite(state.held[0]):
@@ -164,7 +157,7 @@ def _go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> D
     wanted = wrapped(np.arctan2(to_way[1], to_way[0]) - sight.pose[2])
     turning = state.status == TURNING and state.side != 0
     if abs(wanted) > np.deg2rad(config.turn_end_deg if turning else config.turn_start_deg):
-        return _turn(state, sight, wanted, ability, config, TURNING)
+        return turn_on_spot(state, sight, wanted, ability, config, TURNING)
     if sight.field is None:
         return _without_memory(state, sight, wanted, ability, config)
     directions = sight.histogram.directions
@@ -179,7 +172,7 @@ def _go(state: VfhState, sight: Sight, ability: Ability, config: VfhConfig) -> D
     if choice is not None and away <= np.deg2rad(config.detour_deg):
         return _drive(state, sight, choice, wanted, half, ability, config)
     if abs(wanted) > _ALIGNED:
-        return _turn(state, sight, wanted, ability, config, TURNING)
+        return turn_on_spot(state, sight, wanted, ability, config, TURNING)
     return _refused(state, sight, wanted, ability, config)
 
 
@@ -194,9 +187,9 @@ def _without_memory(state: VfhState, sight: Sight, wanted: float, ability: Abili
     if choice is not None and abs(sight.histogram.directions[choice]) <= most:
         return _drive(state, sight, choice, float(sight.histogram.directions[choice]), 0.0, ability, config)
     if state.turned >= _FULL_TURN:
-        return _rest(replace(state, status=NO_WAY, again=0), sight)
+        return rest(replace(state, status=NO_WAY, again=0), sight)
     side = state.side or float(np.sign(wanted) or 1.0)
-    return _turn(replace(state, side=side), sight, side * np.pi / 2, ability, config, LOOKING)
+    return turn_on_spot(replace(state, side=side), sight, side * np.pi / 2, ability, config, LOOKING)
 
 
 def _drive(
@@ -208,7 +201,7 @@ def _drive(
     direction = direction if open_ahead(sight, direction) else middle
     reach = float(np.hypot(*sight.histogram.far_edges[choice]))
     risk = float(sight.histogram.risk[choice])
-    return _steer(state, sight, direction, reach, risk, ability, config)
+    return steer(state, sight, direction, reach, risk, ability, config)
 
 
 def _near(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision | None:
@@ -222,54 +215,7 @@ def _near(state: VfhState, sight: Sight, wanted: float, ability: Ability, config
     # Not the risk decides but the price: it is finite where the robot may leave ground that it could not enter.
     if not known or not np.isfinite(cost):
         return None
-    return _steer(state, sight, wanted, length, risk, ability, config)
-
-
-def _steer(
-    state: VfhState, sight: Sight, direction: float, reach: float, risk: float, ability: Ability, config: VfhConfig
-) -> Decision:
-    """Sets the sub-goal `reach` ahead, or at the goal where that is nearer, and the reference speed.
-
-    The risk is that of the ground ahead or, where that is higher, of what stands beside it: a rectangle that holds a
-    pillar is never chosen, and still the robot is to be slow near it (the paper's Fig. 12).
-    """
-    left = float(np.hypot(*(sight.goal - sight.pose[:2])))
-    near = nearness(sight.obstacles, direction, ability.footprint, config.beside)
-    risk = max(risk, config.beside_share * ability.risk_limit * near)
-    aim = wrapped(direction + sight.pose[2])
-    length = min(reach, left)
-    x, y = sight.pose[:2] + length * np.array([np.cos(aim), np.sin(aim)])
-    share = max(config.min_speed_share, 1 - min(risk, IMPASSABLE) / ability.risk_limit)
-    slow = min(1.0, np.sqrt(2 * config.deceleration * left) / ability.max_speed)
-    v_r = config.reference_share * ability.max_speed * share * slow
-    anchor = state.anchor if state.status == DRIVING else (*state.anchor[:3], sight.time)
-    state = replace(state, status=DRIVING, aim=aim, side=0.0, backed=False, looked_back=False, refused_since=np.nan)
-    return replace(state, anchor=anchor), Command((float(x), float(y), aim), float(v_r), 0.0, risk)
-
-
-def _turn(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig, status: str) -> Decision:
-    """Turns on the spot towards `wanted` [rad, heading frame]; backs up first where it would touch something or slide.
-
-    A turn keeps its side until the direction is less than a right angle away, so that a direction straight behind does
-    not make it turn to and fro.
-    """
-    side = state.side if state.side and abs(wanted) > np.pi / 2 else float(np.sign(wanted) or 1.0)
-    turn, slide = side * min(abs(wanted), np.pi / 2), slide_of(sight, ability)
-    off = off_the_slope(replace(state, side=side), sight, ability, config)
-    if off is not None:
-        return off
-    if not room_to_turn(sight, turn, ability):
-        back = place_to_turn(sight.obstacles, ability.footprint, turn, slide, config.longest_back)
-        if not state.backed and back > 0:
-            return back_up(replace(state, side=side, backed=True, aim=np.nan), sight, back, config)
-        # There is room where it came from: who turned to and fro keeps to its side.
-        other = abs(wanted) > np.pi / 2 and state.turned < _TO_AND_FRO
-        if other and room_to_turn(sight, -side * np.pi / 2, ability):
-            side = -side
-    if state.status not in (TURNING, LOOKING, BACKING):
-        state = replace(state, anchor=(*state.anchor[:3], sight.time))
-    rate = float(np.clip(config.turn_gain * abs(wanted), config.min_turn_rate, ability.max_yaw_rate))
-    return replace(state, status=status, side=side, aim=np.nan), Command(omega_r=side * rate)
+    return steer(state, sight, wanted, length, risk, ability, config)
 
 
 def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, config: VfhConfig) -> Decision:
@@ -277,15 +223,10 @@ def _refused(state: VfhState, sight: Sight, wanted: float, ability: Ability, con
     since = state.refused_since if np.isfinite(state.refused_since) else sight.time
     state = replace(state, refused_since=since)
     if sight.time - since < config.patience:
-        return _rest(replace(state, status=LOOKING), sight)
+        return rest(replace(state, status=LOOKING), sight)
     ahead = 0.5 * ability.footprint[0] + 0.3
     heading = sight.pose[2] + wanted
     end = sight.pose[:2] + config.near * np.array([np.cos(heading), np.sin(heading)])
     all_seen = sight.field is not None and sight.field.line(sight.pose[:2], end)[2]
     state = mark(state, sight, heading, ahead, ability, ALWAYS if all_seen else IF_UNSEEN)
-    return _rest(replace(state, refused_since=np.nan, status=LOOKING), sight)
-
-
-def _rest(state: VfhState, sight: Sight) -> Decision:
-    """Stands still; that is not being stuck."""
-    return replace(state, anchor=(*state.anchor[:3], sight.time), aim=np.nan), Command()
+    return rest(replace(state, refused_since=np.nan, status=LOOKING), sight)
