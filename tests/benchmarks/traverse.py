@@ -1,7 +1,7 @@
 """Random rough yards for every robot: does it reach the goal, unharmed, and say so where there is no way?
 
     python -m tests.benchmarks.traverse [--worlds 20] [--first 0] [--blocked 5] [--robots pioneer amphibious crawler]
-        [--jobs 2] [--fit robust] [--stray 0.01] [--out out/rough] [--json FILE]
+        [--jobs 2] [--fit robust] [--stray 0.01] [--duration 240] [--out out/rough] [--json FILE]
 
 The yards are those of `naraha.models.worlds.rough_field`: a bent way through them keeps to slopes, steps and roughness
 that every robot here manages, and anything may stand beside it; in the blocked ones a wall keeps every robot from the
@@ -25,7 +25,9 @@ from .report import print_table, write_json
 ROBOTS = ("pioneer", "amphibious", "crawler")
 
 
-def drive(robot: str, seed: int, blocked: bool, fit: str, stray: float, folder: Path) -> dict[str, Any]:
+def drive(
+    robot: str, seed: int, blocked: bool, fit: str, stray: float, duration: float, folder: Path
+) -> dict[str, Any]:
     """Metrics of one drive."""
     out = folder / f"{fit}_{stray:g}" / robot / f"{'blocked' if blocked else 'open'}_{seed:03}"
     metrics = read_metrics(out)
@@ -38,7 +40,7 @@ def drive(robot: str, seed: int, blocked: bool, fit: str, stray: float, folder: 
             "robot.start_xyz": f"[{yard.start_xy[0]:.4f}, {yard.start_xy[1]:.4f}]",
             "robot.start_yaw_deg": f"{np.rad2deg(yard.start_yaw):.3f}",
             "goal": f"[{yard.goal_xy[0]:.4f}, {yard.goal_xy[1]:.4f}]",
-            "duration": "240",
+            "duration": str(duration),
             "terrain.fit": fit,
             "lidar.stray": str(stray),
             "local_cloud.dust_gap": "0.1" if stray > 0 else "null",
@@ -74,6 +76,7 @@ def main() -> None:
     parser.add_argument("--blocked", type=int, default=5, help="blocked yards for each robot")
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=ROBOTS)
     parser.add_argument("--fit", choices=("robust", "least_squares"), default="robust")
+    parser.add_argument("--duration", type=float, default=240.0, help="simulated time after which a drive is over [s]")
     parser.add_argument("--stray", type=float, default=0.0, help="share of the LiDAR's shots that dust sends back")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=Path("out/rough"))
@@ -86,7 +89,9 @@ def main() -> None:
         for robot in arguments.robots
     ]
     with ThreadPoolExecutor(arguments.jobs) as pool:
-        found = list(pool.map(lambda one: drive(*one, arguments.fit, arguments.stray, arguments.out), plan))
+        found = list(
+            pool.map(lambda one: drive(*one, arguments.fit, arguments.stray, arguments.duration, arguments.out), plan)
+        )
     results: dict[str, object] = {}
     for blocked in (False, True):
         rows = []
