@@ -64,9 +64,8 @@ def back_up(state: VfhState, sight: Sight, distance: float, config: VfhConfig, *
     Who wants room for a turn goes straight: on its track it would undo what it has turned already, and come again.
     """
     x, y, _ = (float(value) for value in sight.pose)
-    anchor = (*state.anchor[:3], sight.time)
-    state = replace(state, status=BACKING, back_from=(x, y, sight.time), back_to=distance, on_track=on_track)
-    state = replace(state, anchor=anchor)
+    anchor, start = (*state.anchor[:3], sight.time), (x, y, sight.time)
+    state = replace(state, status=BACKING, anchor=anchor, back_from=start, back_to=distance, on_track=on_track)
     return retrace(state, sight, config)
 
 
