@@ -36,8 +36,8 @@ def start_meshcat(config: RecordingConfig, *, live: bool) -> Meshcat:
     log.setLevel(logging.WARNING)  # Drake announces its address also when nobody is to look
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     log.setLevel(level)
-    meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
-    meshcat.SetProperty("/Background", "bottom_color", [0.75, 0.78, 0.82])
+    meshcat.SetProperty("/Background/<object>", "top_color", [0.93, 0.95, 0.97])
+    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.75, 0.78, 0.82])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     for light, intensity in (("AmbientLight", 1.3), ("FillLight", 0.6), ("PointLightPositiveX", 0.0)):

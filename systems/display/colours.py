@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from pydrake.geometry import Meshcat, Rgba
 
 from ..errors import ConfigError
 
@@ -115,12 +116,28 @@ def height_colours(z: np.ndarray) -> np.ndarray:
 def for_meshcat(colours: np.ndarray) -> np.ndarray:
     """Colours of points to give to Meshcat, so that they appear on the screen as `colours`, (3, N) uint8 both.
 
-    Meshcat takes the colours of a cloud for amounts of light and brightens them (sRGB, IEC 61966-2-1) when it draws;
-    undone here, or they would not be those of the legend. What else it does, tone mapping, makes them a little paler;
-    the panel of a recording switches that off for points.
+    Meshcat takes the colours of a cloud for amounts of light and brightens them when it draws; undone here, or they
+    would not be those of the legend. What else it does, tone mapping, makes them a little paler; the panel of a
+    recording switches that off for points.
     """
-    s = np.asarray(colours) / 255.0
-    return _bytes(np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4))
+    return _bytes(_amounts_of_light(np.asarray(colours) / 255.0))
+
+
+def set_colour(meshcat: Meshcat, path: str, colour: Rgba, time: float) -> None:
+    """Gives an object a colour now, and in a recording from a time on [s]; there its opacity stays.
+
+    Meshcat takes a colour that is changed for amounts of light, unlike the one that an object is made with. What is
+    shown now changes by the property `color`, which a recording does not know: that needs the one of the material.
+    """
+    rgb = _amounts_of_light(np.array([colour.r(), colour.g(), colour.b()])).tolist()
+    meshcat.SetProperty(path, "color", [*rgb, colour.a()])
+    recording = meshcat.get_mutable_recording()
+    recording.SetProperty(recording.frame(time), f"{path}/<object>", "material.color", rgb)
+
+
+def _amounts_of_light(s: np.ndarray) -> np.ndarray:
+    """Of colours in [0, 1] as a screen is given them (sRGB, IEC 61966-2-1)."""
+    return np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
 
 
 def _bytes(rgb: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from ..snake.actuator_faults import ActuatorReport
 from ..snake.posture import belly_loads, half_poses, nearest_by_half
 from ..snake.recovery_motion import RecoveryCommand
 from ..snake.stuck_rules import Diagnosis
+from .colours import set_colour
 from .picture_board import lettering, picture_mesh
 
 # Colour of every mode, so that it is never mistaken.
@@ -192,9 +193,9 @@ class SnakeDisplay(LeafSystem):
 
     def _draw_pads(self, pad_forces: np.ndarray, time: float) -> None:
         for i, force in enumerate(belly_loads(pad_forces)):
-            colour = force_colour(float(force), self._config.strong_force)
-            rgba = [colour.r(), colour.g(), colour.b(), colour.a()]
-            self._meshcat.SetProperty(f"snake/half/{i}/body", "color", rgba, time)
+            set_colour(
+                self._meshcat, f"snake/half/{i}/body", force_colour(float(force), self._config.strong_force), time
+            )
 
     def _draw_ranges(self, ranges: np.ndarray, poses: list[RigidTransform], time: float) -> None:
         config = self._config
@@ -222,7 +223,7 @@ class SnakeDisplay(LeafSystem):
 
     def _draw_margin(self, margin: float, X_WB: RigidTransform, time: float) -> None:
         share = float(np.clip(margin / self._config.safe_margin, 0.0, 1.0))
-        self._meshcat.SetProperty("snake/margin", "color", [1.0 - share, 0.8 * share, 0.1, 1.0], time)
+        set_colour(self._meshcat, "snake/margin", Rgba(1.0 - share, 0.8 * share, 0.1, 1.0), time)
         self._meshcat.SetTransform("snake/margin", _above(X_WB, [0.0, 0.0, 0.25]), time)
 
     def _draw_stuck(self, diagnosis: Diagnosis, poses: list[RigidTransform], time: float) -> None:

@@ -18,6 +18,7 @@ class Scene:
     materials: dict[str, dict] = field(default_factory=dict)
     visible: dict[str, bool] = field(default_factory=dict)
     appears: dict[str, list] = field(default_factory=dict)  # (frame, visible) in the recording
+    turns: dict[str, list] = field(default_factory=dict)  # (frame, rgb) in the recording, of materials
 
 
 def read_scene(meshcat) -> Scene:
@@ -26,20 +27,22 @@ def read_scene(meshcat) -> Scene:
     for command in (umsgpack.unpackb(base64.b64decode(text)) for text in commands):
         path = command.get("path", "").removeprefix("/drake/")
         if command["type"] == "set_object":
-            for geometry in command["object"]["geometries"]:
+            for geometry in command["object"].get("geometries", []):
                 for name, kept in (("position", scene.points), ("color", scene.colours)):
                     array = geometry.get("data", {}).get("attributes", {}).get(name)
                     if array is not None:
                         kept[path] = np.frombuffer(array["array"].data, np.float32).reshape(-1, 3)
-            scene.materials[path] = command["object"]["materials"][0]
+            for material in command["object"].get("materials", [])[:1]:
+                scene.materials[path] = material
         elif command["type"] == "set_property" and command["property"] == "visible":
             scene.visible[path] = command["value"]
         elif command["type"] == "set_animation":
             for animation in command["animations"]:
                 for track in animation["clip"]["tracks"]:
-                    if track["name"] == ".visible":
-                        keys = [(key["time"], key["value"]) for key in track["keys"]]
-                        scene.appears[animation["path"].removeprefix("/drake/")] = keys
+                    for name, kept in ((".visible", scene.appears), (".material.color", scene.turns)):
+                        if track["name"] == name:
+                            keys = [(key["time"], key["value"]) for key in track["keys"]]
+                            kept[animation["path"].removeprefix("/drake/")] = keys
     return scene
 
 

@@ -1,12 +1,14 @@
 import matplotlib
 import numpy as np
 import pytest
+import umsgpack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naraha.systems.display import colours
-from naraha.systems.display.colours import PALETTES, UNKNOWN, ColourScale, for_meshcat, height_colours
+from naraha.systems.display.colours import PALETTES, UNKNOWN, ColourScale, for_meshcat, height_colours, set_colour
 from naraha.systems.errors import ConfigError, InputError
 from naraha.systems.hazards.classes import CLASSES, class_colours, class_named
+from pydrake.geometry import Meshcat, Rgba, Sphere
 
 SCALES = [colours.HEIGHT, colours.INTENSITY, colours.NIR, colours.TEMPERATURE, colours.DOSE_RATE]
 
@@ -43,6 +45,20 @@ def test_heights_go_from_blue_at_the_floor_to_red_at_two_metres():
     assert middle.argmax() == 1
     assert high.argmax() == 0
     np.testing.assert_array_equal(height_colours(np.array([-1.0, 5.0])).T, [low, high])
+
+
+def test_a_colour_that_is_set_is_the_one_that_an_object_is_made_with(read_scene):
+    meshcat, colour = Meshcat(), Rgba(0.5, 0.2, 0.02, 0.5)
+    meshcat.StartRecording(frames_per_second=10.0)
+    meshcat.SetObject("ball", Sphere(0.1), colour)
+    set_colour(meshcat, "ball", colour, 0.3)
+    meshcat.PublishRecording()
+    ((frame, light),) = read_scene(meshcat).turns["ball/<object>"]
+    assert frame == 3
+    # What an object is made with is as a screen has it (sRGB).
+    np.testing.assert_allclose(light, [0.2140, 0.0331, 0.02 / 12.92], atol=1e-4)
+    live = umsgpack.unpackb(meshcat._GetPackedProperty("ball", "color"))["value"]
+    np.testing.assert_allclose(live, [*light, 0.5])
 
 
 def test_what_is_not_known_has_a_colour_of_its_own():

@@ -66,6 +66,20 @@ def test_body_pads_ranges_and_margin_are_drawn(shown):
         assert shown.HasPath(f"snake/{path}"), path
 
 
+def test_the_colour_of_what_presses_on_a_belly_changes_in_a_recording(read_scene):
+    meshcat = Meshcat()
+    meshcat.StartRecording(frames_per_second=10.0, set_visualizations_while_recording=False)
+    Simulator(moving_snake(3, meshcat)).AdvanceTo(0.5)
+    meshcat.PublishRecording()
+    scene = read_scene(meshcat)
+    assert {f"snake/half/{i}/body/<object>" for i in range(20)} | {"snake/margin/<object>"} == set(scene.turns)
+    frames, colours = zip(*scene.turns["snake/margin/<object>"], strict=True)
+    assert list(frames) == [0, 1, 2, 3, 4]
+    # The snake lies flat, and its head is held by nothing.
+    assert all(colour[1] > colour[0] for colour in colours[1:])
+    assert all(len(colour) == 3 for colour in colours)
+
+
 def test_the_mode_is_a_button_in_large_letters(shown):
     assert shown.GetButtonClicks("MODE: WHEELS") == 0
     with pytest.raises(RuntimeError):
