@@ -1,6 +1,6 @@
 """The snake in Meshcat as it feels itself (row S1-e): posture with true attitude, pads, ranges, segment and target."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,8 @@ class _Shown:
     errors: str = ""
     error_boards: int = 0
     built: bool = False
+    # Of the drive that was last: in a recovery the wheels turn with the shape, and what is said then means nothing.
+    diagnosis: Diagnosis = field(default_factory=Diagnosis)
 
 
 class SnakeDisplay(LeafSystem):
@@ -107,7 +109,7 @@ class SnakeDisplay(LeafSystem):
     - `ranges` [m], see `RangeSensors`: a plane where something is near.
     - `tip_margin` (1) [m]: a ball over the head, green to red.
     - `recovery_command` (`RecoveryCommand`): ends of the segment and the target, while it runs.
-    - `diagnosis` (`Diagnosis`): a ring at the unit that is stuck.
+    - `diagnosis` (`Diagnosis`): a ball at the unit that is stuck, as it was said when the wheels last drove.
     - `mode` (str): in large letters on a board of its own colour over the robot, and as a button in the panel.
     - `actuator_report` (`ActuatorReport`): what is wrong with the actuators, in words, on a board and as a button.
 
@@ -148,10 +150,13 @@ class SnakeDisplay(LeafSystem):
         self._draw_ranges(eval_typed(self, context, "ranges", np.ndarray), poses, time)
         self._draw_segment(eval_typed(self, context, "recovery_command", RecoveryCommand), poses, time)
         self._draw_margin(float(eval_typed(self, context, "tip_margin", np.ndarray)[0]), poses[0], time)
-        self._draw_stuck(eval_typed(self, context, "diagnosis", Diagnosis), poses, time)
+        mode = eval_typed(self, context, "mode", str)
+        if mode == "wheels":
+            shown = replace(shown, diagnosis=eval_typed(self, context, "diagnosis", Diagnosis))
+        self._draw_stuck(shown.diagnosis, poses, time)
         shown = self._show_words(
             replace(shown, built=True),
-            eval_typed(self, context, "mode", str),
+            mode,
             errors_in_words(eval_typed(self, context, "actuator_report", ActuatorReport)),
             poses[0],
             time,

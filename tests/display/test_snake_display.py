@@ -1,15 +1,19 @@
 import numpy as np
 import pytest
+import umsgpack
 from naraha.diagrams.recover import RecoverScenario, make_recover
 from naraha.systems.display.snake_display import (
     MODE_COLOURS,
+    SnakeDisplay,
     SnakeDisplayConfig,
     errors_in_words,
     force_colour,
 )
 from naraha.systems.snake.actuator_faults import ActuatorFaultsConfig, ActuatorReport, Fault
 from naraha.systems.snake.posture import half_poses, tilt_rotation
+from naraha.systems.snake.recovery_motion import RecoveryCommand
 from naraha.systems.snake.snake_pilot import MOVES
+from naraha.systems.snake.stuck_rules import Diagnosis
 from pydrake.geometry import Meshcat
 from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
@@ -78,6 +82,27 @@ def test_the_colour_of_what_presses_on_a_belly_changes_in_a_recording(read_scene
     # The snake lies flat, and its head is held by nothing.
     assert all(colour[1] > colour[0] for colour in colours[1:])
     assert all(len(colour) == 3 for colour in colours)
+
+
+def test_where_it_is_stuck_stays_while_the_wheels_turn_with_the_shape():
+    meshcat = Meshcat()
+    display = SnakeDisplay(SnakeDisplayConfig(), meshcat, units=4, zones=1)
+    simulator = Simulator(display)
+    context = simulator.get_mutable_context()
+    for name, size in (("joint_angles", 7), ("rpy", 3), ("pad_forces", 16), ("ranges", 24), ("tip_margin", 1)):
+        display.GetInputPort(name).FixValue(context, np.zeros(size))
+    for name, value in (("recovery_command", RecoveryCommand()), ("actuator_report", ActuatorReport())):
+        display.GetInputPort(name).FixValue(context, value)
+
+    def ball(mode, unit):
+        display.GetInputPort("mode").FixValue(context, mode)
+        display.GetInputPort("diagnosis").FixValue(context, Diagnosis(stuck=True, unit=unit))
+        simulator.AdvanceTo(context.get_time() + 0.1)
+        return np.array(umsgpack.unpackb(meshcat._GetPackedTransform("snake/stuck"))["matrix"])[12:15]
+
+    driven, recovering, driven_again = ball("wheels", 1), ball("recover", 3), ball("wheels", 3)
+    np.testing.assert_allclose(recovering, driven)
+    assert driven_again[0] < driven[0] - 0.1
 
 
 def test_the_mode_is_a_button_in_large_letters(shown):
