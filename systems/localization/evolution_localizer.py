@@ -1,7 +1,7 @@
 """The localiser as a system: laser scans and odometry in, pose and how far to trust it out."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class EvolutionLocalizer(LeafSystem):
     - `grid` (`OccupancyGrid`): the map.
     - `localization` (`Localization`): all of it.
 
-    Before the first scan the pose is the start.
+    At the first look the pose is the start.
 
     Args:
         grid: the map that is known, such as a floor plan; none when not given, which needs `config.mapping`.
@@ -137,6 +137,9 @@ class EvolutionLocalizer(LeafSystem):
         scan = eval_typed(self, context, "laser_scan", LaserScan)
         before, now, X_OB = self._held(context), context.get_time(), self._odometry(context)
         known, index = before.known, before.index
+        if known.X_OB is None:
+            # A robot that drives off at once is no longer at its start when the first scan comes.
+            known = replace(known, X_OB=X_OB, time=now)
         if scan.index not in (-1, index):
             X_OS = X_OB
             if before.X_OB is not None and before.time < scan.time < now:

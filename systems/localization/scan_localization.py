@@ -67,7 +67,7 @@ class Localization:
 def start_localization(
     config: LocalizerConfig, grid: OccupancyGrid | None = None, pose: np.ndarray | None = None
 ) -> Localization:
-    """What is known before the first scan.
+    """What is known before the first scan, whose pose it is as long as no odometry says where it was.
 
     Args:
         grid: the map; an empty one when not given, which only helps where `config.mapping` is set.
@@ -109,7 +109,7 @@ def localize(
         known, pose=pose, covariance=covariance + _LEAST, relative=relative + _LEAST, time=scan.time,
         scans=known.scans + 1, X_OB=X_OB, look=min(known.look + moved, 1.0),
     )  # fmt: skip
-    points = usable_points(scan, config, X_BS, step, scan.time - known.time if known.scans else 0.0)
+    points = usable_points(scan, config, X_BS, step, 0.0 if known.X_OB is None else scan.time - known.time)
     if len(points) < config.min_beams:
         return _judged(replace(ahead, health=0.0, tracked=False, surprise=0.0, information=np.zeros((3, 3))), config)
     if len(known.keyframes) == 0 and config.mapping and not known.grid.occupied.any():
