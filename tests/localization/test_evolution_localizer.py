@@ -15,16 +15,20 @@ TRUTH = drive(START, [[0.05, 0.0, 0.036]] * 40)
 
 
 class Drive(LeafSystem):
-    """A robot on a circle, with its laser at X_BS and exact odometry from another origin."""
+    """A robot on a circle, with its laser at X_BS, scans from the number `first` on, and exact odometry from another
+    origin."""
 
-    def __init__(self, X_BS):
+    def __init__(self, X_BS, first=0):
         super().__init__()
-        self._X_BS = X_BS
+        self._X_BS, self._first = X_BS, first
         self.DeclareAbstractOutputPort("laser_scan", lambda: AbstractValue.Make(no_scan()), self._CalcScan)
         self.DeclareAbstractOutputPort("X_OB", lambda: AbstractValue.Make(RigidTransform()), self._CalcOdometry)
 
     def _CalcScan(self, context, output):
         k = round(context.get_time() / 0.1)
+        if k < self._first:
+            output.set_value(no_scan())
+            return
         scan = scan_in(room(), compose(TRUTH[k], self._X_BS), np.random.default_rng(k), time=0.1 * k, index=k)
         output.set_value(scan)
 
@@ -40,19 +44,23 @@ def plan():
     return OccupancyGrid.from_plan(occupied, 0.05, origin)
 
 
+def driven(source, time, **options):
+    """The localiser and its context after some time [s] of a drive; without a grid it maps."""
+    config = LocalizerConfig(mapping=options.get("grid") is None)
+    builder = DiagramBuilder()
+    builder.AddSystem(source)
+    system = builder.AddSystem(EvolutionLocalizer(config, start=START, **options))
+    for name in ("laser_scan", "X_OB"):
+        builder.Connect(source.GetOutputPort(name), system.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(time)
+    return system, system.GetMyContextFromRoot(simulator.get_context().Clone())
+
+
 @pytest.mark.parametrize("mapping", [False, True])
 def test_it_follows_a_robot_with_its_laser_off_centre(mapping):
     X_BS = np.array([0.2, -0.1, 0.3])
-    builder = DiagramBuilder()
-    source = builder.AddSystem(Drive(X_BS))
-    grid = None if mapping else plan()
-    system = builder.AddSystem(EvolutionLocalizer(LocalizerConfig(mapping=mapping), grid=grid, start=START, X_BS=X_BS))
-    for name in ("laser_scan", "X_OB"):
-        builder.Connect(source.GetOutputPort(name), system.GetInputPort(name))
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(3.9)
-    context = system.GetMyContextFromRoot(simulator.get_context())
+    system, context = driven(Drive(X_BS), 3.9, grid=None if mapping else plan(), X_BS=X_BS)
     value = {
         name: system.GetOutputPort(name).Eval(context) for name in ("pose", "X_MB", "covariance", "health", "lost")
     }
@@ -65,6 +73,13 @@ def test_it_follows_a_robot_with_its_laser_off_centre(mapping):
     assert value["lost"][0] == 0
     assert system.GetOutputPort("grid").Eval(context).occupied.sum() > 100
     assert system.GetOutputPort("localization").Eval(context).scans in (39, 40)
+
+
+def test_the_start_is_where_it_was_at_the_first_look_not_at_the_first_scan():
+    system, context = driven(Drive(np.zeros(3), first=6), 0.65)
+    known = system.GetOutputPort("localization").Eval(context)
+    assert known.scans == 1
+    np.testing.assert_allclose(known.keyframes, [TRUTH[6]], atol=1e-3)  # odometry is looked at 1 ms later
 
 
 def evaluated(system, scan, X_OB):
