@@ -96,27 +96,8 @@ def make_snake_station(
             "wrong joint angles", key="joint_angles", value=len(joint_angles), valid=f"{len(names)} finite"
         )
     builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlant(config.plant, builder)
-    world.add_to(plant)
-    parser = Parser(plant)
-    (model,) = parser.AddModelsFromString(snake_urdf(config.snake), "urdf")
-    plant.RenameModelInstance(model, "robot")
-    plant.Finalize()
-    plant.SetDefaultFloatingBaseBodyPose(plant.GetBodyByName("F0", model), X_WB)
-    for name, angle in zip(names, joint_angles, strict=True):
-        plant.GetJointByName(name, model).set_default_angle(float(angle))
-    ApplyDriverConfigs(
-        driver_configs={"robot": config.driver},
-        sim_plant=plant,
-        models_from_directives=[],
-        lcm_buses=LcmBuses(),
-        builder=builder,
-    )
-    driver = builder.GetSubsystemByName("robot.driver")
-    for name in COMMANDS:
-        builder.ExportInput(driver.GetInputPort(name), name)
-    for name in MEASUREMENTS:
-        builder.ExportOutput(driver.GetOutputPort(name), name)
+    plant, scene_graph = _add_plant(config, world, X_WB, joint_angles, builder)
+    _apply_driver(config.driver, plant, builder)
     if config.imu is not None:
         _apply_imu(config.imu, plant, builder, seed)
     if config.pads is not None:
@@ -131,12 +112,7 @@ def make_snake_station(
             _apply_ranges(config.ranges, config.snake, scene, plant, builder, seed)
         if config.cameras is not None:
             _apply_cameras(config.cameras, scene, plant, scene_graph, builder, seed)
-    margin = TipOverMargin(config.tip_over_margin, plant=plant, model=model)
-    builder.AddNamedSystem("tip_over_margin", margin)
-    connect(builder, plant, "contact_results", margin)
-    connect(builder, plant, "body_poses", margin)
-    for name in ("tip_margin", "support"):
-        builder.ExportOutput(margin.GetOutputPort(name), name)
+    _apply_margin(config.tip_over_margin, plant, builder)
     truth = builder.AddNamedSystem("truth", BodyPose.of(plant, "F0", "robot"))
     connect(builder, plant, "body_poses", truth)
     builder.ExportOutput(truth.GetOutputPort("X_WB"), "cheat.X_WB")
@@ -149,10 +125,40 @@ def make_snake_station(
     return station
 
 
+def _add_plant(
+    config: SnakeStationConfig, world: World, X_WB: RigidTransform, joint_angles: np.ndarray, builder: DiagramBuilder
+) -> tuple[MultibodyPlant, SceneGraph]:
+    """The robot in its world; its model instance is `robot`."""
+    plant, scene_graph = AddMultibodyPlant(config.plant, builder)
+    world.add_to(plant)
+    (model,) = Parser(plant).AddModelsFromString(snake_urdf(config.snake), "urdf")
+    plant.RenameModelInstance(model, "robot")
+    plant.Finalize()
+    plant.SetDefaultFloatingBaseBodyPose(plant.GetBodyByName("F0", model), X_WB)
+    for name, angle in zip(config.snake.joint_names(), joint_angles, strict=True):
+        plant.GetJointByName(name, model).set_default_angle(float(angle))
+    return plant, scene_graph
+
+
 def half_bodies(plant: MultibodyPlant, units: int) -> list[int]:
     """Indices in `body_poses` of the links F0, R0, F1, R1, ... of the snake in a station."""
     robot = plant.GetModelInstanceByName("robot")
     return [int(plant.GetBodyByName(f"{half}{i}", robot).index()) for i in range(units) for half in "FR"]
+
+
+def _apply_driver(config: SnakeDriver, plant: MultibodyPlant, builder: DiagramBuilder) -> None:
+    ApplyDriverConfigs(
+        driver_configs={"robot": config},
+        sim_plant=plant,
+        models_from_directives=[],
+        lcm_buses=LcmBuses(),
+        builder=builder,
+    )
+    driver = builder.GetSubsystemByName("robot.driver")
+    for name in COMMANDS:
+        builder.ExportInput(driver.GetInputPort(name), name)
+    for name in MEASUREMENTS:
+        builder.ExportOutput(driver.GetOutputPort(name), name)
 
 
 def _apply_imu(config: ImuConfig, plant: MultibodyPlant, builder: DiagramBuilder, seed: int) -> None:
@@ -221,3 +227,12 @@ def _apply_ranges(
     builder.AddNamedSystem("ranges", ranges)
     connect(builder, plant, "body_poses", ranges)
     builder.ExportOutput(ranges.GetOutputPort("ranges"), "ranges")
+
+
+def _apply_margin(config: TipOverMarginConfig, plant: MultibodyPlant, builder: DiagramBuilder) -> None:
+    margin = TipOverMargin(config, plant=plant, model=plant.GetModelInstanceByName("robot"))
+    builder.AddNamedSystem("tip_over_margin", margin)
+    for name in ("contact_results", "body_poses"):
+        connect(builder, plant, name, margin)
+    for name in ("tip_margin", "support"):
+        builder.ExportOutput(margin.GetOutputPort(name), name)

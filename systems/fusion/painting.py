@@ -136,30 +136,16 @@ def paint(
     if occluders is None:
         between = _between(p_CP, index, [X_CB.multiply(eye) for eye in eyes])
         occluders = points[between], None if normals is None else normals[between]
-    hiding, hiding_normals = occluders
-    for eye in eyes:
-        at = None if normals is None else normals[index]
-        seen = visible(
-            points[index],
-            eye,
-            normals=at,
-            occluders=hiding,
-            occluder_normals=hiding_normals,
-            config=config.visibility,
-        )
-        index, uv, values = index[seen], uv[seen], values[seen]
+    seen = _seen_by_all(eyes, points, normals, index, occluders, config.visibility)
+    index, uv, values = index[seen], uv[seen], values[seen]
     if len(index) == 0:
         return _unchanged(before, "no point is in the light and not hidden, where a pixel says something")
-
     n = np.zeros((len(index), 3), np.float32) if normals is None else np.asarray(normals[index], np.float32)
     distance, cosine = _incidence(points[index], X_BC.translation(), n, config)
     if lamp is not None and p_BL is not None:
         r, lamp_cosine = _incidence(points[index], p_BL, n, config)
         values = values / (np.float32(lamp.intensity) * lamp_cosine / (r * r) + np.float32(lamp.ambient))
-    middle = np.array([camera.width - 1, camera.height - 1], np.float32) / 2
-    from_middle = np.square((uv - middle) / (middle + 0.5)) @ np.array([0.5, 0.5], np.float32)
-    weight = cosine / (1 + np.square(distance / np.float32(config.half_range)))
-    weight *= np.maximum(np.square(1 - from_middle), np.float32(0.01))
+    weight = _weight(uv, distance, cosine, camera, config)
     weight[_unknown(n)] *= np.float32(config.unknown_weight)
 
     def added(total: np.ndarray, more: np.ndarray) -> np.ndarray:
@@ -173,6 +159,42 @@ def paint(
         added(before.range_sum, weight * distance),
     )
     return Paint(*sums, len(index), "")
+
+
+def _seen_by_all(
+    eyes: list[np.ndarray],
+    points: np.ndarray,
+    normals: np.ndarray | None,
+    index: np.ndarray,
+    occluders: tuple[np.ndarray, np.ndarray | None],
+    config: VisibilityConfig,
+) -> np.ndarray:
+    """Places in `index` of those that are hidden from no eye. One that is hidden from an eye is not asked the next."""
+    hiding, hiding_normals = occluders
+    left = np.arange(len(index))
+    for eye in eyes:
+        asked = index[left]
+        seen = visible(
+            points[asked],
+            eye,
+            normals=None if normals is None else normals[asked],
+            occluders=hiding,
+            occluder_normals=hiding_normals,
+            config=config,
+        )
+        left = left[seen]
+    return left
+
+
+def _weight(
+    uv: np.ndarray, distance: np.ndarray, cosine: np.ndarray, camera: CameraModel, config: PaintConfig
+) -> np.ndarray:
+    """What a view counts for points at pixels (n, 2), see `paint`, (n,) float32."""
+    middle = np.array([camera.width - 1, camera.height - 1], np.float32) / 2
+    from_middle = np.square((uv - middle) / (middle + 0.5)) @ np.array([0.5, 0.5], np.float32)
+    weight: np.ndarray = cosine / (1 + np.square(distance / np.float32(config.half_range)))
+    weight *= np.maximum(np.square(1 - from_middle), np.float32(0.01))
+    return weight
 
 
 def _between(p_CP: np.ndarray, index: np.ndarray, eyes_C: list[np.ndarray]) -> np.ndarray:

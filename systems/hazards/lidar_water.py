@@ -173,10 +173,7 @@ def shots_at_floor(
     """
     if not (np.isfinite(X_MS0).all() and np.isfinite(X_MS1).all() and np.isfinite(z_floor)):
         return _NO_SHOTS
-    # Rings that cannot meet the floor within range are left out before anything is computed.
-    lowest = min(X_MS0[2, 3], X_MS1[2, 3]) - z_floor - config.floor_search
-    lean = np.arccos(np.clip(min(X_MS0[2, 2], X_MS1[2, 2]), -1, 1))
-    rings = np.flatnonzero(pattern.elevations - lean <= -np.arcsin(np.clip(lowest / config.max_range, 0, 1)))
+    rings = _rings_at_floor(pattern, X_MS0, X_MS1, z_floor, config)
     if not len(rings):
         return _NO_SHOTS
     shape = (len(rings), pattern.columns)
@@ -202,13 +199,7 @@ def shots_at_floor(
     gap = meets & ~solid
     if hidden is not None:
         gap &= ~hidden.reshape(pattern.rings, -1)[rings]
-    ring, column = np.nonzero(gap)
-    before, after = _solid_neighbours(solid, ring, column)
-    bounded = (before >= 0) & (after < shape[1])
-    ring, column, before, after = (index[bounded] for index in (ring, column, before, after))
-    angle = np.abs(pattern.azimuths[after] - pattern.azimuths[before])
-    bounded = hit[ring, before] & hit[ring, after] & (angle * way[ring, column] <= config.max_gap)
-    ring, column, before, after = (index[bounded] for index in (ring, column, before, after))
+    ring, column, before, after = _narrow_gaps(gap, solid, hit, way, pattern.azimuths, config.max_gap)
     # The higher side: a mirror image of something low passes for a hit a little below the floor.
     z_gap = floor + np.maximum(above[ring, before], above[ring, after])
     way_gap = (z_gap - z_start[ring, column]) / slope[ring, column]
@@ -229,6 +220,35 @@ def shots_at_floor(
     evidence[:hits], evidence[hits:told] = hit_says[:hits], np.where(mirror, mirror_says, missing_says[hits:])
     weight[:hits], weight[hits:told] = told_weight[:hits], np.where(mirror, 1.0, told_weight[hits:])
     return Shots(xy_M, kind, evidence, weight)
+
+
+def _rings_at_floor(
+    pattern: ScanPattern, X_MS0: np.ndarray, X_MS1: np.ndarray, z_floor: float, config: ShotConfig
+) -> np.ndarray:
+    """Index of the rings that can meet the floor within range: the others are left out before anything is computed."""
+    lowest = min(X_MS0[2, 3], X_MS1[2, 3]) - z_floor - config.floor_search
+    lean = np.arccos(np.clip(min(X_MS0[2, 2], X_MS1[2, 2]), -1, 1))
+    return np.flatnonzero(pattern.elevations - lean <= -np.arcsin(np.clip(lowest / config.max_range, 0, 1)))
+
+
+def _narrow_gaps(
+    gap: np.ndarray, solid: np.ndarray, hit: np.ndarray, way: np.ndarray, azimuths: np.ndarray, max_gap: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Shots in gaps that are at most `max_gap` [m] wide and have a hit on either side.
+
+    Args:
+        gap, solid, hit: of every shot, (rings, columns) bool. way: to the floor [m].
+
+    Returns:
+        Ring and column of the shots, and columns of the hits before and after each, (n,) each.
+    """
+    ring, column = np.nonzero(gap)
+    before, after = _solid_neighbours(solid, ring, column)
+    bounded = (before >= 0) & (after < solid.shape[1])
+    ring, column, before, after = (index[bounded] for index in (ring, column, before, after))
+    angle = np.abs(azimuths[after] - azimuths[before])
+    bounded = hit[ring, before] & hit[ring, after] & (angle * way[ring, column] <= max_gap)
+    return ring[bounded], column[bounded], before[bounded], after[bounded]
 
 
 def _solid_neighbours(solid: np.ndarray, ring: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -132,7 +132,6 @@ class RayScene:
         chosen = [g for g in seen if not any(name_matches(inspector.GetName(g), pattern) for pattern in exclude)]
         if not chosen:
             raise WorldError("no geometry that rays could hit", where="ray scene", valid=list(_ROLE_NAMES.values()))
-        # Stable order: what never moves, then frame by frame, so that Open3D's geometry ids are indices into `names`.
         by_frame: dict[FrameId, list[GeometryId]] = {}
         for geometry in chosen:
             by_frame.setdefault(inspector.GetFrameId(geometry), []).append(geometry)
@@ -144,16 +143,14 @@ class RayScene:
         centres: list[np.ndarray] = []
         self._static = o3d.t.geometry.RaycastingScene()
         self._moving: dict[FrameId, _MovingFrame] = {}
+        # What never moves, then frame by frame, so that Open3D's geometry ids are indices into `names`.
         for frame in sorted(by_frame, key=lambda f: f not in fixed):
             scene = self._static if frame in fixed else o3d.t.geometry.RaycastingScene()
             first = len(names)
             corners = []
             for geometry in by_frame[frame]:
                 name = inspector.GetName(geometry)
-                vertices, triangles = triangulate(inspector.GetShape(geometry), name)
-                X_FG = inspector.GetPoseInFrame(geometry)
-                pose = (fixed[frame] @ X_FG if frame in fixed else X_FG).GetAsMatrix4()
-                vertices = (vertices @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+                vertices, triangles = _surface(inspector, geometry, fixed.get(frame, RigidTransform()))
                 scene.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles))
                 self.triangles += len(triangles)
                 corners.append(vertices)
@@ -162,10 +159,7 @@ class RayScene:
                 names.append(name)
                 self.frames.append(frame)
             if frame not in fixed:
-                everything = np.concatenate(corners).astype(float)
-                p_FC = (everything.min(axis=0) + everything.max(axis=0)) / 2
-                radius = float(np.linalg.norm(everything - p_FC, axis=1).max())
-                self._moving[frame] = _MovingFrame(scene, first, p_FC, radius * (1 + 1e-5))
+                self._moving[frame] = _MovingFrame(scene, first, *_ball_around(np.concatenate(corners).astype(float)))
         self._has_static = len(self._moving) < len(by_frame)
         self.names = tuple(names)
         self.moving_frames = tuple(self._moving)
@@ -330,6 +324,21 @@ class RayScene:
             distance[rays_hit] = near[nearer]
             geometry[rays_hit] = hit[nearer] + frame.first_geometry
             normal_W[rays_hit] = normal_F[nearer] @ R_WF.T
+
+
+def _surface(
+    inspector: SceneGraphInspector, geometry: GeometryId, X_PF: RigidTransform
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices in P of a geometry of frame F, (n, 3) float32 [m], and its triangles, (m, 3)."""
+    vertices, triangles = triangulate(inspector.GetShape(geometry), inspector.GetName(geometry))
+    pose = (X_PF @ inspector.GetPoseInFrame(geometry)).GetAsMatrix4()
+    return (vertices @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32), triangles
+
+
+def _ball_around(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Middle (3,) and radius of a ball that holds points (n, 3) and a little more, so that rounding loses none."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return middle, float(np.linalg.norm(points - middle, axis=1).max()) * (1 + 1e-5)
 
 
 def _with_role(inspector: SceneGraphInspector, role: Role) -> list[GeometryId]:
