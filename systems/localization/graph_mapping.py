@@ -20,7 +20,7 @@ from .localizer_config import LocalizerConfig
 from .match_kernels import find_patches, refine
 from .occupancy_grid import OccupancyGrid
 from .planar import between, compose, from_matrix, inverse, to_matrix, transform, turned
-from .scan_localization import Localization, localize, start_localization, usable_points
+from .scan_localization import Localization, localize, motion_since, start_localization, usable_points
 from .uncertainty import PlanarOdometryAccuracy, information_of, odometry_step_covariance
 
 
@@ -114,9 +114,8 @@ class GraphMapper:
         known = localize(before, scan, X_OB, self.config.localizer, X_BS=self._X_BS, seed=self._seed)
         self._known = known
         if len(known.keyframes) > len(self.keyframes):
-            step = np.zeros(3) if before.X_OB is None else between(before.X_OB, X_OB)
-            duration = scan.time - before.time if before.scans else 0.0
-            self._add_keyframe(usable_points(scan, self.config.localizer, self._X_BS, step, duration), known)
+            motion = motion_since(before, scan, X_OB)
+            self._add_keyframe(usable_points(scan, self.config.localizer, self._X_BS, *motion), known)
         k = len(self.keyframes) - 1
         if k >= 0:
             self.steps.append((k, between(self.keyframes[k].local, known.pose)))

@@ -101,7 +101,7 @@ def localize(
         X_BS: pose of the laser on the robot, (3,).
         seed: of the evolution; the number of the scan counts its streams.
     """
-    step = np.zeros(3) if known.X_OB is None else between(known.X_OB, X_OB)
+    step, duration = motion_since(known, scan, X_OB)
     pose, covariance = predict(known.pose, known.covariance, step, config.odometry)
     _, relative = predict(known.pose, known.relative, step, config.odometry)
     moved = math.hypot(step[0], step[1]) / config.new_look + abs(step[2]) / math.radians(config.new_look_deg)
@@ -109,7 +109,7 @@ def localize(
         known, pose=pose, covariance=covariance + _LEAST, relative=relative + _LEAST, time=scan.time,
         scans=known.scans + 1, X_OB=X_OB, look=min(known.look + moved, 1.0),
     )  # fmt: skip
-    points = usable_points(scan, config, X_BS, step, 0.0 if known.X_OB is None else scan.time - known.time)
+    points = usable_points(scan, config, X_BS, step, duration)
     if len(points) < config.min_beams:
         return _judged(replace(ahead, health=0.0, tracked=False, surprise=0.0, information=np.zeros((3, 3))), config)
     if len(known.keyframes) == 0 and config.mapping and not known.grid.occupied.any():
@@ -120,6 +120,13 @@ def localize(
     if config.mapping and (not after.tracked or after.poor < config.lost_scans) and _is_new(after, config):
         after = _with_keyframe(after, points, X_BS, config)
     return after
+
+
+def motion_since(known: Localization, scan: LaserScan, X_OB: np.ndarray) -> tuple[np.ndarray, float]:
+    """Motion X_BB' (3,) by odometry up to a scan, and how long it took [s]; none where odometry begins with it."""
+    if known.X_OB is None:
+        return np.zeros(3), 0.0
+    return between(known.X_OB, X_OB), scan.time - known.time
 
 
 def usable_points(
