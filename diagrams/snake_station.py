@@ -125,6 +125,12 @@ def make_snake_station(
     return station
 
 
+def half_bodies(plant: MultibodyPlant, units: int) -> list[int]:
+    """Indices in `body_poses` of the links F0, R0, F1, R1, ... of the snake in a station."""
+    robot = plant.GetModelInstanceByName("robot")
+    return [int(plant.GetBodyByName(f"{half}{i}", robot).index()) for i in range(units) for half in "FR"]
+
+
 def _add_plant(
     config: SnakeStationConfig, world: World, X_WB: RigidTransform, joint_angles: np.ndarray, builder: DiagramBuilder
 ) -> tuple[MultibodyPlant, SceneGraph]:
@@ -138,12 +144,6 @@ def _add_plant(
     for name, angle in zip(config.snake.joint_names(), joint_angles, strict=True):
         plant.GetJointByName(name, model).set_default_angle(float(angle))
     return plant, scene_graph
-
-
-def half_bodies(plant: MultibodyPlant, units: int) -> list[int]:
-    """Indices in `body_poses` of the links F0, R0, F1, R1, ... of the snake in a station."""
-    robot = plant.GetModelInstanceByName("robot")
-    return [int(plant.GetBodyByName(f"{half}{i}", robot).index()) for i in range(units) for half in "FR"]
 
 
 def _apply_driver(config: SnakeDriver, plant: MultibodyPlant, builder: DiagramBuilder) -> None:

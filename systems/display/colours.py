@@ -1,4 +1,4 @@
-"""Colours of numbers: the scales in which a map's attributes are shown, and what their legends say."""
+"""Colours of numbers and objects: the scales of a map's attributes, what their legends say, how Meshcat takes them."""
 
 import math
 from collections.abc import Callable

@@ -54,6 +54,7 @@ def driven(source, time, **options):
         builder.Connect(source.GetOutputPort(name), system.GetInputPort(name))
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(time)
+    # A context of its own, which outlives the simulator.
     return system, system.GetMyContextFromRoot(simulator.get_context().Clone())
 
 
